@@ -39,6 +39,19 @@ def test_stages_steps_and_the_end_are_read_while_they_are_written(
     assert reader.notes == ["NaN is a word"] and reader.warnings == ["careful"] and len(reader.stages) == 2
 
 
+@pytest.mark.parametrize("stage", ["light", "pack"])
+def test_the_last_step_of_a_short_run_is_recorded(stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "PERIOD", 1e9)
+    reader = RunProgress(tmp_path / "boat.vam")
+    with recorded(tmp_path / "boat.vam", "solve") as events:
+        events.share("light", "optimizing", 0.0)
+        for number in (1, 2):
+            events.step(Step(number, 1.5, 0.1, 0.25))
+            events.share("light", "optimizing", 0.25 * number)
+        events.share(stage, "packing", 0.5)
+    assert reader.read() and [each["iteration"] for each in reader.steps] == [2]
+
+
 @pytest.mark.parametrize(
     ("error", "status", "said"), [(BadInput("no"), 1, "no"), (Cancelled("stopped"), 130, "stopped"),
                                   (KeyboardInterrupt(), 130, "KeyboardInterrupt")]
