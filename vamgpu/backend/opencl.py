@@ -12,7 +12,7 @@ from functools import lru_cache
 from hashlib import sha256
 from math import prod
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -23,7 +23,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
 from vamgpu.backend.kernel_cache import keep, kept
-from vamgpu.backend.opencl_platforms import all_devices, quiet_build
+from vamgpu.backend.opencl_platforms import NO_CACHE, all_devices, quiet_build
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
@@ -230,19 +230,18 @@ class OpenclDevice(Device):
 
     def _built(self, source: Path, options: list[str], cached: bool) -> cl.Program:
         """A program of a file, by the binary of an earlier process if the driver does not keep binaries itself."""
-        program, device, none = cl.Program(self.context, source.read_text()), self._device, cast("str", False)
+        program, device = cl.Program(self.context, source.read_text()), self._device
         if not cached or has_src_build_cache(device):
-            return program.build(options, devices=[device], cache_dir=none)
+            return program.build(options, devices=[device], cache_dir=NO_CACHE)
         files = (path.read_bytes() for path in (source, *sorted(source.parent.glob("*.h"))))
         key = sha256(repr((device.platform.version, device.name, device.driver_version, options, *files)).encode())
         binary = kept(key.hexdigest())
         if binary is not None:
             with suppress(cl.Error, RuntimeError):  # a binary that the driver refuses is made again
                 return cl.Program(self.context, [device], [binary]).build(options)
-        built = program.build(options, devices=[device], cache_dir=none)
-        devices: Any = built.get_info(cl.program_info.DEVICES)
-        binaries: Any = built.get_info(cl.program_info.BINARIES)
-        keep(key.hexdigest(), binaries[devices.index(device)])
+        built: Any = program.build(options, devices=[device], cache_dir=NO_CACHE)
+        place = built.get_info(cl.program_info.DEVICES).index(device)
+        keep(key.hexdigest(), built.get_info(cl.program_info.BINARIES)[place])
         return built
 
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:

@@ -19,6 +19,7 @@ from vamgpu.backend.kernel_cache import writable
 
 SLUGS = {"Portable Computing Language": "pocl", "NVIDIA CUDA": "nvidia", "AMD Accelerated Parallel Processing": "amd"}
 _BUILDS = Lock()
+NO_CACHE = cast("str", False)  # of PyOpenCL, whose lock stays if its process dies
 PROBE = "__kernel void twice(__global float *a) { a[get_global_id(0)] = 2.0f * get_global_id(0); }"
 
 
@@ -120,7 +121,7 @@ def complaint(name: str) -> str | None:
         queue = cl.CommandQueue(context, device)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
         with quiet_build():
-            program = cl.Program(context, PROBE).build(devices=[device], cache_dir=cast("str", False))  # takes no lock
+            program = cl.Program(context, PROBE).build(devices=[device], cache_dir=NO_CACHE)
         program.twice(queue, (16,), None, buffer)
         got = np.empty(16, np.float32)
         cl.enqueue_copy(queue, got, buffer)

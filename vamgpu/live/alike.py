@@ -7,7 +7,7 @@ import numpy as np
 BLOCK = 8
 """Edge of the blocks of voxels in which errors are compared [voxels]: wider than errors are alike."""
 
-NEIGHBORS = 30.0
+FEWEST = 30.0
 """Fewest voxels of a reconstruction that count as one: its resolution is about three voxels."""
 
 

@@ -17,7 +17,7 @@ from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
 from vamgpu.kernels.watch import likelihood_weights, match_dose, share_gain, tilted_gain
-from vamgpu.live.alike import NEIGHBORS, alike, trends
+from vamgpu.live.alike import FEWEST, alike, trends
 from vamgpu.live.calibrated_projection import CalibratedProjection
 from vamgpu.live.fields import here, picked, places, scaled
 from vamgpu.live.local_dose import Fit, LocalDose
@@ -313,7 +313,7 @@ class Estimator:
         self, fit: Fit, values: np.ndarray, correlated: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The most probable parameters, derivatives and residuals of the voxels used, and how many err alike."""
-        data, residuals, near, count = np.empty((0, len(NAMES))), np.empty(0), None, NEIGHBORS if correlated else 1.0
+        data, residuals, near, count = np.empty((0, len(NAMES))), np.empty(0), None, FEWEST if correlated else 1.0
         voxels = np.stack(np.unravel_index(fit.used, self.operator.domain.shape))
         for _ in range(self.rounds):
             if near is not None and (np.abs(values - near.center)[list(OPTICAL)] <= FAR * self._apart).all():
@@ -329,7 +329,7 @@ class Estimator:
                 return np.concatenate([(rate * near.rates(p)).T, fit.whitening])
 
             for turn in range(REWEIGHTED if correlated else 1):
-                count = max(alike(voxels, residuals), NEIGHBORS) if turn else count
+                count = max(alike(voxels, residuals), FEWEST) if turn else count
                 begin, sigma = np.clip(values, LEAST + EDGE, MOST - EDGE), sqrt(count) * fit.sigma
                 found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST), args=(sigma,))  # pyright: ignore[reportArgumentType]
                 values, data, residuals = found.x, found.jac[: fit.used.size], found.fun[: fit.used.size]
