@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, Parts, disc
-from vamgpu.kernels.reduce import GPU as PARTIAL
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Tiling, kernel
-
-GPU = Tiling(major=1, minor=1)
+from vamgpu.kernels.pointwise import Parts, add_up, near_axis, pointwise
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real
 
 
-def _counted(target: np.ndarray, reach: float, rim: float) -> np.ndarray:
-    near = disc(target.shape[0], target.shape[1], reach)[:, :, None]
-    return np.where(near, 1.0, np.where(target >= 0.5, 0.0, rim))
+def counted(target: np.ndarray, reach: float, rim: float) -> np.ndarray:
+    """Weights of voxels."""
+    return np.where(near_axis(target, reach), 1.0, np.where(target >= 0.5, 0.0, rim))
 
 
-@kernel(over="held", cpu=CPU, gpu=PARTIAL)
+@pointwise(over="held")
 def find_levels(
     held: Array, scaled_dual: Array, target: Array, least: Real, leak: Real, reach: Real, rim: Real, below: Parts,
     shorts: Parts, above: Parts, over: Parts,
@@ -30,15 +27,16 @@ def find_levels(
 
     Doses in the part are clipped to 1.
     """
-    counted, dose = _counted(target, reach, rim), 2.0 * held + scaled_dual
+    weight, dose = counted(target, reach, rim), 2.0 * held + scaled_dual
     lacks = np.where(target >= 0.5, least - np.minimum(dose, 1.0), 0.0)
     leaks = np.where(target < 0.5, dose - leak, 0.0)
-    for count, amount, values in ((below, shorts, lacks), (above, over, leaks)):
-        count[...] = amount[...] = 0.0
-        count[0], amount[0] = (counted * (values > 0.0)).sum(), (counted * np.maximum(values, 0.0)).sum()
+    add_up(below, np.where(lacks > 0.0, weight, 0.0))
+    add_up(shorts, weight * np.maximum(lacks, 0.0))
+    add_up(above, np.where(leaks > 0.0, weight, 0.0))
+    add_up(over, weight * np.maximum(leaks, 0.0))
 
 
-@kernel(over="pull", cpu=CPU, gpu=GPU)
+@pointwise(over="pull")
 def clip_dose(
     held: Array, target: Array, least: Real, leak: Real, relax: Real, reach: Real, rim: Real, scaled_dual: ArrayInOut,
     pull: ArrayOut,
@@ -50,11 +48,11 @@ def clip_dose(
     dose = 2.0 * held + scaled_dual
     within = np.where(target >= 0.5, np.maximum(np.minimum(dose, 1.0), least), np.minimum(dose, leak))
     beyond = relax * within + (1.0 - relax) * held
-    pull[...] = _counted(target, reach, rim) * (beyond - dose)
+    pull[...] = counted(target, reach, rim) * (beyond - dose)
     scaled_dual[...] = dose - held - beyond
 
 
-@kernel(over="light", cpu=CPU, gpu=GPU)
+@pointwise(over="light")
 def clip_light(
     light: Array, white: Array, push: Real, base: Real, relax: Real, scaled_dual: ArrayInOut, pull: ArrayInOut
 ) -> None:

@@ -24,7 +24,7 @@ Extinction = Annotated[np.ndarray, Table("float32", ("2", "2"))]  # color: μ [1
 def column_density(species: Volume, open: Open, pose: Pose, path: PathOut) -> None:
     """path[r, s, z] = ∫ of the species along the ray from where it enters the cylinder to s = s·step − radius.
 
-    Middles of steps interpolate between the open columns of voxels around them.
+    In the middle of a step, the species is interpolated between the open columns of voxels around it.
     """
     cosine, sine, dx, dy, dr, step, radius, _ = (float(v) for v in pose)
     n_x, n_y, _ = species.shape

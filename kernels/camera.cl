@@ -1,7 +1,6 @@
 #include "partial.h"
 
 #define FAINTEST 2.0f
-#define FAINT 1e-6f
 
 #ifdef COMPILE_measure_depth
 FIELD_KERNEL measure_depth(__global const float *restrict images, __global const float *restrict open,
@@ -22,35 +21,6 @@ FIELD_KERNEL measure_depth(__global const float *restrict images, __global const
                               level * level > FAINTEST * FAINTEST * variance;
             depth[at + k] = good ? share * log(field / level) : 0.0f;
             weight[at + k] = good ? level * level / (variance * share * share) : 0.0f;
-        }
-    }
-}
-#endif
-
-#ifdef COMPILE_dim_light
-FIELD_KERNEL dim_light(ARRAY path, __global const float *restrict reached, __global float *dark, int n_angle, int n_r,
-                       int n_z) {
-    const int angle = ITEM_MAJOR;
-    if (angle >= n_angle) return;
-    EACH_MINOR(r, n_r) {
-        const size_t at = slab_offset(n_angle, n_r) + SAMPLE(angle, r, n_r);
-        const float share = reached[r];
-        EACH_VECTOR STORE(dark + at, share > 0.0f ? 1.0f - exp(-LOAD(path + at) / share) : ZERO);
-    }
-}
-#endif
-
-#ifdef COMPILE_take_bias
-FIELD_KERNEL take_bias(ARRAY dark, ARRAY linear, __global const float *restrict reached, __global float *restrict depth,
-                       int n_angle, int n_r, int n_z) {
-    const int angle = ITEM_MAJOR;
-    if (angle >= n_angle) return;
-    EACH_MINOR(r, n_r) {
-        const size_t at = slab_offset(n_angle, n_r) + SAMPLE(angle, r, n_r);
-        const float share = reached[r];
-        if (share > 0.0f) EACH_VECTOR {
-            const Vector left = fmax(1.0f - LOAD(dark + at), FAINT);
-            STORE(depth + at, LOAD(depth + at) + share * log(left) + LOAD(linear + at));
         }
     }
 }

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramInOut, SinogramOut, Table, Tiling, kernel
+from vamgpu.kernels.pointwise import CPU, pointwise
+from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramInOut, SinogramOut, Table, kernel
 
 Images = Annotated[np.ndarray, Table("float32", ("angle", "z", "r"))]
 Open = Annotated[np.ndarray, Table("float32", ("shot", "z", "r"))]
@@ -22,10 +23,8 @@ FAINT = 1e-6
 SPREAD = np.uint32(2654435769)
 """Factors of seeds; near seeds then give different numbers."""
 
-CPU, GPU = Tiling(major=1, minor=0), Tiling(major=1, minor=1)
 
-
-@kernel(over="depth", cpu=CPU, gpu=GPU)
+@kernel(over="depth", cpu=CPU)
 def measure_depth(
     images: Images, open: Open, reached: Reached, floor: Real, gain: Real, brightest: Real, depth: SinogramOut,
     weight: SinogramOut,
@@ -42,23 +41,23 @@ def measure_depth(
     weight[...] = np.where(good, levels**2 / (variance * share**2), 0.0)
 
 
-@kernel(over="dark", cpu=CPU, gpu=GPU)
+@pointwise(over="dark")
 def dim_light(path: Sinogram, reached: Reached, dark: SinogramOut) -> None:
     """dark = 1 − exp(−path / reached), the share of light that is lost; dark may be path."""
     lit = reached[:, None] > 0.0
     dark[...] = np.where(lit, 1.0 - np.exp(-path / np.where(lit, reached[:, None], 1.0)), 0.0)
 
 
-@kernel(over="depth", cpu=CPU, gpu=GPU)
+@pointwise(over="depth")
 def take_bias(dark: Sinogram, linear: Sinogram, reached: Reached, depth: SinogramInOut) -> None:
     """depth −= −reached·ln(1 − dark) − linear, the excess of depths in images over the sum along the rays."""
     lit = reached[:, None] > 0.0
     depth -= np.where(lit, -reached[:, None] * np.log(np.maximum(1.0 - dark, FAINT)) - linear, 0.0)
 
 
-@kernel(over="noise", cpu=CPU, gpu=GPU)
+@kernel(over="noise", cpu=CPU)
 def draw_noise(weight: Sinogram, slices: Numbers, seed: Integer, noise: SinogramOut) -> None:
-    """Normal numbers of variance 1 / weight, 0 where that is 0; the same on every device and for every layout.
+    """Normally distributed noise of variance 1 / weight, 0 where weight is 0; the same on every device and layout.
 
     slices: 0, 1, 2, …
     Source: hash by M. E. O'Neill (PCG-RXS-M-XS-32), G. E. P. Box & M. E. Muller, Ann. Math. Stat. 29 (1958) 610.

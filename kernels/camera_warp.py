@@ -11,7 +11,6 @@ from vamgpu.kernels.wide_warp import Vectors
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 BRIGHT: Any = wp.constant(4.0)  # the square of FAINTEST
-FAINT: Any = wp.constant(1e-6)
 TURN: Any = wp.constant(6.283185307179586)
 
 
@@ -35,30 +34,6 @@ def measure_depth(
                 known[k] = level * level / (variance * share * share)
     depth[slab, angle, r, lane] = found
     weight[slab, angle, r, lane] = known
-
-
-@wp.kernel
-def dim_light(path: Vectors, reached: wp.array[float], dark: Vectors, n_angle: int, n_r: int, n_z: int) -> None:
-    slab, angle, r, lane = wp.tid()
-    values = path[slab, angle, r, lane]
-    lost = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if reached[r] > 0.0:
-        for k in range(4):
-            lost[k] = 1.0 - wp.exp(0.0 - values[k] / reached[r])
-    dark[slab, angle, r, lane] = lost
-
-
-@wp.kernel
-def take_bias(
-    dark: Vectors, linear: Vectors, reached: wp.array[float], depth: Vectors, n_angle: int, n_r: int, n_z: int
-) -> None:
-    slab, angle, r, lane = wp.tid()
-    if reached[r] > 0.0:
-        lost = dark[slab, angle, r, lane]
-        found = depth[slab, angle, r, lane] + linear[slab, angle, r, lane]
-        for k in range(4):
-            found[k] = found[k] + reached[r] * wp.log(wp.max(1.0 - lost[k], FAINT))
-        depth[slab, angle, r, lane] = found
 
 
 @wp.func

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from importlib import import_module
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from vamgpu.kernels.pointwise import opencl, warp
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar
 
 FOLDER = Path(__file__).resolve().parent
@@ -21,18 +24,20 @@ TABLE = "| kernel | computes | files | one item | read | written | tested on |"
 
 
 def concepts() -> tuple[str, ...]:
-    """Names of the concepts: files with an OpenCL version."""
-    return tuple(sorted(path.stem for path in FOLDER.glob("*.cl")))
+    """Names of the concepts: files with kernels."""
+    names = sorted(path.stem for path in FOLDER.glob("[a-z]*.py") if not path.stem.endswith("_warp"))
+    return tuple(name for name in names if declared(name))
 
 
 def kernels() -> tuple[Kernel, ...]:
     """Every kernel of every concept."""
-    found = []
-    for concept in concepts():
-        module = import_module(f"vamgpu.kernels.{concept}")
-        own = (value for value in vars(module).values() if isinstance(value, Kernel) and value.concept == concept)
-        found += list(own)
-    return tuple(found)
+    return tuple(kernel for concept in concepts() for kernel in declared(concept))
+
+
+def declared(concept: str) -> list[Kernel]:
+    """The kernels of a concept."""
+    values = vars(import_module(f"vamgpu.kernels.{concept}")).values()
+    return [value for value in values if isinstance(value, Kernel) and value.concept == concept]
 
 
 def bytes_per_item(kernel: Kernel, *, written: bool) -> str:
@@ -63,21 +68,29 @@ def _axes(spec: Moved | Scalar) -> list[str]:
     return [axis for axis in getattr(spec, "axes", ()) if not axis.isdigit()]
 
 
-def on_gpu() -> set[str]:
-    """Names of the kernels that agreed with their definitions on every device of the record."""
-    rows = json.loads(RECORD.read_text(encoding="utf-8"))["kernels"]
-    return {row["kernel"] for row in rows} - {row["kernel"] for row in rows if not row["error"] <= ERROR}
+def text_hash(kernel: Kernel) -> str:
+    """Hash of a kernel's name, OpenCL and Warp text; records hold it."""
+    sibling = FOLDER / f"{kernel.concept}_warp.py"
+    text = opencl(kernel) + (warp(kernel) if kernel.pointwise else sibling.read_text(encoding="utf-8"))
+    return hashlib.sha256((kernel.name + text).encode()).hexdigest()[:16]
+
+
+def on_gpu(rows: list[dict[str, Any]]) -> set[str]:
+    """Hashes of the texts that agreed with their definitions on every device of a record."""
+    return {row.get("text", "") for row in rows} - {row.get("text") for row in rows if not row["error"] <= ERROR}
 
 
 def readme() -> str:
     """README.md: its introduction as it stands, and the table of all kernels as declared."""
     introduction = (FOLDER / "README.md").read_text(encoding="utf-8").split(TABLE)[0]
-    tested, rows = on_gpu(), [TABLE, "|---" * TABLE.count(" |") + "|"]
+    tested = on_gpu(json.loads(RECORD.read_text(encoding="utf-8"))["kernels"])
+    rows = [TABLE, "|---" * TABLE.count(" |") + "|"]
     for kernel in kernels():
         computes = (kernel.definition.__doc__ or "").split("\n")[0].replace("|", "\\|")
-        files = " ".join(f"[{end}]({kernel.concept}{end})" for end in (".py", ".cl", "_warp.py"))
+        endings = (".py",) if kernel.pointwise else (".py", ".cl", "_warp.py")
+        files = " ".join(f"[{end}]({kernel.concept}{end})" for end in endings)
         read, written = (bytes_per_item(kernel, written=writes) for writes in (False, True))
-        devices = "processors, GPU" if kernel.name in tested else "processors"
+        devices = "processors, GPU" if text_hash(kernel) in tested else "processors"
         item = f"{kernel.over}[{', '.join(_axes(kernel.arguments[kernel.over]))}]"
         rows.append(f"| `{kernel.name}` | {computes} | {files} | {item} | {read} | {written} | {devices} |")
     return introduction + "\n".join(rows) + "\n"

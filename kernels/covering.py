@@ -1,27 +1,25 @@
 """Dual variables of a dose, raised until no pixel gains: a certificate that no light has a wider process window.
 
-If the dual variables of all limits cost every pixel at least what they pay it, they bound the window of any light.
-The dual variables of an unfinished run pay some pixels too much. A cover raises them: light on the pixels that are paid
-too much is exposed, and its dose costs these pixels most. Light grows where the cover is too low, and the cover is
-scaled until it suffices for all pixels.
+Dual variables bound the window of any light if they are feasible: every pixel costs at least as much as it gains. Those
+of an unfinished run are infeasible at some pixels. A cover raises them: it is the dose of light on the infeasible
+pixels, which costs these pixels most. That light grows where the cover is too low, and the cover is scaled until it
+suffices for all pixels.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, Parts, disc
-from vamgpu.kernels.reduce import GPU as PARTIAL
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Tiling, kernel
+from vamgpu.kernels.pointwise import Parts, keep_most, near_axis, pointwise
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real
 
-GPU = Tiling(major=1, minor=1)
 FAINT = 1e-9
-"""Least light of a pixel that is paid too much."""
+"""Least light of an infeasible pixel."""
 NEVER = 1e30
 """Scale of a cover that does not reach such a pixel."""
 
 
-@kernel(over="lower", cpu=CPU, gpu=GPU)
+@pointwise(over="lower")
 def divide_prices(
     lower: Array, upper: Array, target: Array, inside: Real, outside: Real, paid: ArrayOut, cost: ArrayOut
 ) -> None:
@@ -34,7 +32,7 @@ def divide_prices(
     cost[...] = np.where(part, inside * np.maximum(upper, 0.0), outside * np.maximum(lower, 0.0))
 
 
-@kernel(over="light", cpu=CPU, gpu=GPU)
+@pointwise(over="light")
 def light_short_pixels(paid: Array, cost: Array, cover: Array, scale: Real, light: ArrayInOut) -> None:
     """light = max(FAINT, light·(short / (scale·cover))²) where short = paid − cost > 0, else 0; 1 where cover is 0."""
     short, reached = paid - cost, cover > 0.0
@@ -42,17 +40,16 @@ def light_short_pixels(paid: Array, cost: Array, cover: Array, scale: Real, ligh
     light[...] = np.where(short > 0.0, np.where(reached, np.clip(grown, FAINT, 1.0), 1.0), 0.0)
 
 
-@kernel(over="cover", cpu=CPU, gpu=GPU)
+@pointwise(over="cover")
 def level_cover(rows: Array, reach: Real, cover: ArrayInOut) -> None:
     """cover = cover / rows within ``reach`` samples of the axis where rows > 0, else 0."""
-    near = disc(cover.shape[0], cover.shape[1], reach)[:, :, None] & (rows > 0)
+    near = near_axis(cover, reach) & (rows > 0)
     cover[...] = np.where(near, cover / np.where(near, rows, 1.0), 0.0)
 
 
-@kernel(over="paid", cpu=CPU, gpu=PARTIAL)
+@pointwise(over="paid")
 def cover_scale(paid: Array, cost: Array, cover: Array, keep: Real, highs: Parts) -> None:
-    """max highs = greatest (keep·paid − cost) / cover of all pixels where that is > 0; NEVER where their cover is 0."""
+    """max highs = greatest (keep·paid − cost) / cover over pixels where it is > 0; NEVER where cover is 0."""
     short, reached = keep * paid - cost, cover > 0.0
     scales = np.where(short > 0.0, np.where(reached, short / np.where(reached, cover, 1.0), NEVER), 0.0)
-    highs[...] = 0.0
-    highs[0] = scales.max(initial=0.0)
+    keep_most(highs, scales)

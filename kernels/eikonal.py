@@ -7,6 +7,7 @@ Runge-Kutta-Nyström scheme of fourth order (Applied Optics 21, 984, 1982), 1 th
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -62,13 +63,12 @@ def march_volume(
           times)  # fmt: skip
 
 
-# ---- marching ----------------------------------------------------------------------------------------------------
 def march(
     look: Look, starts: np.ndarray, region: np.ndarray, step: float, steps: int, scheme: int, every: int,
     ends: np.ndarray, path: np.ndarray, times: np.ndarray,
 ) -> None:  # fmt: skip
     """March rays through any field, as the kernels of this file do; see `march_formula`."""
-    state = State(look, starts)
+    state = State.begun(look, starts)
     path[:, 0], times[...] = starts[:, :3], -1.0
     live = np.arange(len(starts))
     for k in range(int(steps)):
@@ -91,6 +91,7 @@ def march(
     ends[:, :3], ends[:, 3:6], ends[:, 6], ends[:, 7] = state.place, state.heading, state.optical, state.length
 
 
+@dataclass
 class State:
     """State of rays: place, heading, ½∇n² and n² there, optical path and length so far."""
 
@@ -101,23 +102,20 @@ class State:
     pull: np.ndarray
     square: np.ndarray
 
-    def __init__(self, look: Look | None, starts: np.ndarray) -> None:
-        self.place, self.heading = starts[:, :3].copy(), starts[:, 3:6].copy()
-        self.optical, self.length = np.zeros(len(starts)), np.zeros(len(starts))
-        if look is not None:
-            self.pull, self.square = look(self.place)
+    @classmethod
+    def begun(cls, look: Look, starts: np.ndarray) -> State:
+        """Rays at positions with headings, (rays, 6), before their first step."""
+        place, none = starts[:, :3].copy(), np.zeros(len(starts))
+        return cls(place, starts[:, 3:6].copy(), none, none.copy(), *look(place))
 
     def part(self, index: np.ndarray) -> State:
         """A copy of some rays."""
-        few = State(None, np.zeros((0, 6)))
-        for name in ("place", "heading", "pull", "square", "optical", "length"):
-            setattr(few, name, getattr(self, name)[index])
-        return few
+        return State(*(each[index] for each in vars(self).values()))
 
     def put(self, index: np.ndarray, few: State) -> None:
         """Replace some rays."""
-        for name in ("place", "heading", "pull", "square", "optical", "length"):
-            getattr(self, name)[index] = getattr(few, name)
+        for name, each in vars(self).items():
+            each[index] = getattr(few, name)
 
     def advanced(self, look: Look, step: np.ndarray, scheme: int) -> State:
         """State after one step; paths follow from the cubic through values and slopes at both ends, of fourth order."""
@@ -142,7 +140,7 @@ class State:
 
 
 def _outside(state: State, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance outside the region (below zero inside), only on the way out, and its growth per t."""
+    """Distance outside the region (below zero inside) of rays on their way out, and its growth per t."""
     place, heading = state.place, state.heading
     round_value = (place**2) @ region[:3] - region[3]
     values = np.concatenate([round_value[:, None], region[4:7] - place, place - region[7:10]], axis=1)

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, GPU
+from vamgpu.kernels.pointwise import CPU
+from vamgpu.kernels.pointwise import PARTIAL as GPU
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramInOut, SinogramOut, Table, kernel
 
 Taps = Annotated[np.ndarray, Table("float32", ("tap",))]
@@ -35,7 +36,7 @@ def filtered_step(
     gradient: Sinogram, taps: Taps, stride: Integer, step: Real, momentum: Real, light: SinogramInOut,
     ahead: SinogramInOut,
 ) -> None:  # fmt: skip
-    """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient), 0 where it is held.
+    """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient); 0 where held.
 
     Light is held if ahead ≤ 0 and the gradient does not increase it (`apply_penalty` leaves 0 there).
     Then ahead = new + momentum·(new − light) and light = new. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372.

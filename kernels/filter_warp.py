@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.partial_warp import ROWS
+from vamgpu.kernels.pointwise_warp import ROWS
 from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})

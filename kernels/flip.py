@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Integer, Real, Tiling, kernel
+from vamgpu.kernels.pointwise import CPU, pointwise
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Integer, Real, kernel
 
-GPU = Tiling(major=1, minor=1)
 SPREAD = 3518319155, 2882110345, 2360945575, 2654435769
-"""Multiples of these, of 2³², fill a cube evenly: negative powers of the root of g⁴ = g + 1 (M. Roberts' R3 sequence),
-and the golden ratio from one round to the next."""
+"""Steps of 2³² that fill a cube evenly: negative powers of the root of g⁴ = g + 1 (M. Roberts' R3 sequence), and the
+golden ratio from one round to the next."""
 
 
-@kernel(over="brighter", cpu=CPU, gpu=GPU)
+@pointwise(over="brighter")
 def price_flips(
     dose: Array, side: Array, least: Real, most: Real, leak: Real, step: Real, brighter: ArrayOut, darker: ArrayOut
 ) -> None:
-    """Growth of the squared error of a voxel's dose by ``step`` more or less light, squared, over the step.
+    """Change of a voxel's squared dose error, over ``step``, if its dose rises (brighter) or falls (darker) by that.
 
     side: above 0 in the part, whose dose must be from ``least`` to ``most``; below 0 in a void, whose dose must be at
     most ``leak``; 0 if any dose is allowed. The sum of these along a pixel's light, weighted by its dose in each voxel,
@@ -32,7 +31,7 @@ def price_flips(
     darker[...] = (off(dose - step) - off(dose)) / step
 
 
-@kernel(over="change", cpu=CPU, gpu=GPU)
+@pointwise(over="change")
 def flip_pixels(brighter: Array, darker: Array, step: Array, light: ArrayInOut, change: ArrayOut) -> None:
     """Flip each pixel if that lowers the error: lit ones (light > 0) with darker < 0, others with brighter < 0.
 
@@ -43,7 +42,7 @@ def flip_pixels(brighter: Array, darker: Array, step: Array, light: ArrayInOut, 
     light += change
 
 
-@kernel(over="light", reach="first", cpu=CPU, gpu=GPU)
+@kernel(over="light", reach="first", cpu=CPU)
 def step_pixels(
     brighter: Array, darker: Array, worth: Real, seed: Integer, first: Integer, step: Real, most: Real,
     light: ArrayInOut,

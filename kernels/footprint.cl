@@ -16,19 +16,20 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
     volume += slab_offset(n_x, n_y);
     const Scene k = {directions, light, n_angle, n_r, n_across, n_along, n_x, n_y, bent, ratio, strength, fill, sigma, radius};
     const size_t from_slab = (size_t)n_angle * n_r * LANES, to_slab = (size_t)n_x * n_y * LANES;
-    const int folds = folds_of(&k), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int folds = folds_of(directions, 3, n_angle, n_x, n_y, 0), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int2 rows = part_of(ITEM_MAJOR, get_global_size(1), folds == 4 ? n_x / 2 : n_x);
     const int y_end = folds == 4 ? n_y / 2 : n_y;
     Notes notes;
+    for (int column = 0; column < y_end; column += WIDTH)       // its voxels share columns, which stay in the caches
     for (int block = 0; block < n_angle; block += ANGLES) for (int skip = 0; skip < taps; skip += TAPS) {
         const int count = min(ANGLES, n_angle - block), width = min(TAPS, taps - skip);
         const bool begin = block == 0 && skip == 0;
-        for (int row = rows.x; row < rows.y; row++) for (int column = 0; column < y_end; column += WIDTH) {
+        for (int row = rows.x; row < rows.y; row++) {
             const bool lit = note(&k, &notes, block, count, row, column, skip, width);
             if (!lit && !begin) continue;
             for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++)
                 for (int lane = 0; lane < min(WIDTH, y_end - column); lane++) {
-                    __global float *out = volume + slab * to_slab + (size_t)turned_voxel(&k, fold, row, column + lane) * LANES;
+                    __global float *out = volume + slab * to_slab + (size_t)turned_voxel(fold, row, column + lane, n_y) * LANES;
                     Vector sum[VECTORS];
                     EACH_VECTOR sum[v] = begin ? (Vector)(0.0f) : LOAD(out);
                     if (lit && notes.lit[lane]) for (int pose = 0; pose < count; pose++) {
@@ -115,7 +116,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
     sinogram += slab_offset(n_angle, n_r);
     const Scene k = {directions, light, n_angle, n_r, n_across, n_along, n_x, n_y, bent, ratio, strength, fill, sigma, radius};
     const size_t from_slab = (size_t)n_x * n_y * LANES, to_slab = (size_t)n_angle * n_r * LANES;
-    const int folds = folds_of(&k), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int folds = folds_of(directions, 3, n_angle, n_x, n_y, 0), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
     const int x_end = folds == 4 ? n_x / 2 : n_x, y_end = folds == 4 ? n_y / 2 : n_y;
     const int2 angles = part_of(ITEM_MAJOR, get_global_size(1), folds == 4 ? n_angle / 4 : n_angle);
     for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++)
@@ -136,7 +137,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
                 for (int lane = 0; lane < min(WIDTH, y_end - column); lane++) {
                     if (!notes.lit[lane]) continue;
                     __global const float *from =
-                        volume + slab * from_slab + (size_t)turned_voxel(&k, fold, row, column + lane) * LANES;
+                        volume + slab * from_slab + (size_t)turned_voxel(fold, row, column + lane, n_y) * LANES;
                     Vector value[VECTORS];
                     EACH_VECTOR value[v] = LOAD(from);
                     for (int pose = 0; pose < count; pose++) {

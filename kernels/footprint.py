@@ -18,7 +18,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from vamgpu.kernels.project import middle
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
 
 Directions = Annotated[np.ndarray, Table("float32", ("angle", "3"))]
@@ -27,6 +26,12 @@ Map = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
 """Column of the light, its strength, and the columns per voxel across and along it, samples one voxel apart."""
 Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
+
+
+def middle(n: int) -> float:
+    """Index of the center of ``n`` samples."""
+    return 0.5 * (n - 1)
+
 
 TAIL, FAR = 2.75, 4.0
 """Least distance in σ, beyond the boxes and from the middle, at which light (about 1e-4 of a pixel's) is cut off."""
@@ -40,7 +45,7 @@ THINNEST, BLURRED = 0.05, 0.2
 The sum over the corners cancels if a side is thin; a wider blur hides the thinness and makes this worse. In float32
 shares are off by 2e-5 of the greatest, and widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
 GPU = {"SAMPLES": 128, "KEPT": 1024, "TURNS": 16}
-"""Samples whose shares a tile, and a group, keeps at a time; greatest number of angles or planes they are from."""
+"""Numbers of samples for which a tile, and a group, keeps shares at a time; most angles or planes that they span."""
 TAIL_SERIES = (9.973836443e-02, 2.202380776e-02, 3.491863407e-03, 2.423642034e-04, 7.122526186e-05)
 """Third integral of the unit Gaussian's tail: 0.25 / (1 + Σ c_k t^k)^16, fitted to the closed form to 3.1e-7."""
 
@@ -144,7 +149,7 @@ def forward_footprint(
     over="volume",
     cpu=Tiling(major=16, minor=0, slabs=4),
     gpu=Tiling(major=2, minor=2, slabs=4, group=(16, 4, 4), registers=128),
-    constants={"cpu": {"ANGLES": 12, "TAPS": 16}, "gpu": GPU},
+    constants={"cpu": {"ANGLES": 6, "TAPS": 16}, "gpu": GPU},
 )
 def back_footprint(
     sinogram: Sinogram, directions: Directions, light: Map, bent: Integer, ratio: Real, strength: Real, fill: Real,

@@ -1,7 +1,5 @@
 // Footprints on a processor: those of WIDTH neighbouring voxels at once.
-typedef Vector Real;            // a footprint for each of WIDTH neighbouring voxels
-#define VLOAD PASTE(vload, WIDTH)
-#define VSTORE PASTE(vstore, WIDTH)
+#include "folds.h"
 #define CONVERT_INT PASTE(convert_int, WIDTH)
 #define LANE_NUMBERS (Vector)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #include "footprint.h"
@@ -79,21 +77,6 @@ static inline bool note(const Scene *k, Notes *notes, int angle, int count, int 
     return true;
 }
 
-// A turn by 90 degrees maps angle a to a + n_angle / 4 and voxel (x, y) to (-y, x), if the angles are evenly spaced.
-static inline int folds_of(const Scene *k) {
-    if (k->n_angle % 4 || k->n_x != k->n_y || k->n_x % 2) return 1;
-    const int quarter = k->n_angle / 4;
-    for (int angle = 0; angle < k->n_angle; angle++) {
-        const float3 first = vload3(angle, k->directions), turned = vload3((angle + quarter) % k->n_angle, k->directions);
-        if (fabs(turned.x + first.y) + fabs(turned.y - first.x) + fabs(turned.z - first.z) > 1e-6f) return 1;
-    }
-    return 4;
-}
-static inline int turned_voxel(const Scene *k, int fold, int x, int y) {
-    const int last = k->n_y - 1;
-    return fold == 0 ? x * k->n_y + y : fold == 1 ? (last - y) * k->n_y + x
-         : fold == 2 ? (last - x) * k->n_y + last - y : y * k->n_y + last - x;
-}
 static inline size_t turned_row(const Scene *k, int fold, int angle) {
     return (size_t)((angle + fold * (k->n_angle / 4)) % k->n_angle) * k->n_r * LANES;
 }

@@ -115,7 +115,7 @@ def inverse_of(sigma: float):
 def share_columns(
     slot: int, i: int, sample: int, lanes: int, count: int, ray: Ray, first: int, fill: float, sigma: float
 ):  # fmt: skip
-    """Store the shares of a tile's voxel i in so many columns; the first is a sample of the sinogram."""
+    """Store the shares of a tile's voxel i in its columns; the first is a sample of the sinogram."""
     inverse_sigma = inverse_of(sigma)
     distance = ray[0] - float(first)
     above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.project import middle
+from vamgpu.kernels.footprint import middle
 from vamgpu.kernels.signature import Array, Real, Table, Tiling, kernel
 
 Ranges = Annotated[np.ndarray, Table("float32", ("slice", "2", "3"))]

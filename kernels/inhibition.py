@@ -8,6 +8,9 @@ by the visible exposure, up to rounding.
 Eqs 5-6 of the paper on binary photoinhibition are not smooth where [A] + [B] = 0. In this model, radicals are divided
 among A, B and a floor ε, the monomer: d[A]/dv = −[A]/([A] + [B] + ε), d[B]/dv = −α[B]/(…), and X, the monomer's share,
 rises by ε/(…). ε → 0 gives eqs 5-6, with X the exposure after the event.
+
+Without B and C, a falls to the root u of u + ε·ln u = a + ε·ln a − v after an exposure v. It is Wright's ω, which a
+formula and two steps of fourth order give (F. N. Fritsch et al., Commun. ACM 16 (1973) 123).
 """
 
 from __future__ import annotations
@@ -16,12 +19,13 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Field, Integer, Real, SinogramOut, Tiling, kernel
+from vamgpu.kernels.pointwise import CPU, pointwise
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Field, Integer, Real, SinogramOut, kernel
 
-CPU = Tiling(major=1, minor=0)
-GPU = Tiling(major=1, minor=1)
 MOST = 40
 """Greatest number of steps of Newton's method."""
+LEAST = 1e-6
+"""Share of oxygen that counts as none."""
 
 Part = Annotated[np.ndarray, Field(("pose", "r", "z"))]
 
@@ -29,25 +33,26 @@ Part = Annotated[np.ndarray, Field(("pose", "r", "z"))]
 def depletion_substep(a: np.ndarray, b: np.ndarray, v: np.ndarray, alpha: float, floor: float) -> np.ndarray:
     """h with a(1 − e^−h) + b(1 − e^−αh)/α + floor·h = v: A decays to e^−h while v arrives.
 
-    Both initial bounds lie below the root of this concave function; Newton's method therefore rises to it.
+    Both initial bounds lie below the root of this concave function; Newton's method therefore rises to it. The error
+    after a step is about its square.
     """
     h = np.maximum(v / (a + b + floor), (v - a - b / alpha) / floor)
     for _ in range(MOST):
         left, kept = np.exp(-h), np.exp(-alpha * h)
         step = (v - a * (1.0 - left) - b * (1.0 - kept) / alpha - floor * h) / (a * left + b * kept + floor)
-        h += step
-        if np.all(np.abs(step) <= 1e-14 * (1.0 + np.abs(h))):
+        h = h + step
+        if np.all(~(np.abs(step) > 3e-7 * (0.05 + np.abs(h)))):  # NaN is done, too
             break
     return h
 
 
-@kernel(over="a_end", cpu=CPU, gpu=GPU)
+@pointwise(over="a_end")
 def inhibition_step(
     visible: Array, ultraviolet: Array, visible_gain: Real, ultraviolet_gain: Real, cross_gain: Real, alpha: Real,
     pairing: Real, floor: Real, a: Array, b: Array, c: Array, x: Array,
     a_end: ArrayOut, b_end: ArrayOut, c_end: ArrayOut, x_end: ArrayOut,
 ) -> None:  # fmt: skip
-    """The state after a step; the arrays of the end may be those of the beginning.
+    """The state after a step; output arrays may be the input arrays.
 
     visible, ultraviolet: exposures.  The share of A's induction that arrives is visible_gain·visible +
     cross_gain·ultraviolet; ultraviolet light splits the share 1 − exp(−ultraviolet_gain·ultraviolet) of C. pairing:
@@ -68,16 +73,16 @@ def inhibition_step(
     c_end[...] = c4 * kept
 
 
-@kernel(over="a_slope", cpu=CPU, gpu=GPU)
+@pointwise(over="a_slope")
 def inhibition_adjoint(
     visible: Array, ultraviolet: Array, visible_gain: Real, ultraviolet_gain: Real, cross_gain: Real, alpha: Real,
     pairing: Real, floor: Real, a: Array, b: Array, c: Array, x_slope: Array,
     a_slope: ArrayInOut, b_slope: ArrayInOut, c_slope: ArrayInOut,
     visible_slope: ArrayInOut, ultraviolet_slope: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Derivatives by the state after a step (a, b and c) become those by the state before it.
+    """Replace derivatives with respect to the state after a step (a, b, c) by those with respect to the state before.
 
-    Derivatives by the exposures are added to visible_slope and ultraviolet_slope; the derivative by X does not change.
+    Derivatives with respect to exposures are added to visible_slope and ultraviolet_slope; that for X does not change.
     """
     v = visible_gain * visible + cross_gain * ultraviolet
     kept = np.exp(-0.5 * ultraviolet_gain * ultraviolet)
@@ -90,7 +95,7 @@ def inhibition_adjoint(
     b3 = b2 * rest
     d3 = 1.0 / (1.0 + pairing * b3)
     c4 = c2 + 0.5 * (b3 - b3 * d3)
-    la, lb, lc = a_slope.copy(), b_slope.copy(), c_slope.copy()
+    la, lb, lc = a_slope, b_slope, c_slope
     lu = 0.5 * kept * c4 * (2.0 * lb - lc)
     lc = lc * kept + 2.0 * lb * (1.0 - kept)
     lb = lb * d3 * d3 + 0.5 * lc * (1.0 - d3 * d3)
@@ -98,14 +103,79 @@ def inhibition_adjoint(
     la = la * left - lv * (1.0 - left)
     lb = lb * rest - lv * (1.0 - rest) / alpha
     lb = lb * d1 * d1 + 0.5 * lc * (1.0 - d1 * d1)
-    lu += 0.5 * kept * c * (2.0 * lb - lc)
+    lu = lu + 0.5 * kept * c * (2.0 * lb - lc)
     a_slope[...], b_slope[...] = la, lb
     c_slope[...] = lc * kept + 2.0 * lb * (1.0 - kept)
     visible_slope += visible_gain * lv
     ultraviolet_slope += ultraviolet_gain * lu + cross_gain * lv
 
 
-@kernel(over="part", cpu=CPU, gpu=GPU)
+@pointwise(over="peak")
+def raise_peak(a: Array, b: Array, x: Array, alpha: Real, number: Real, peak: ArrayInOut, when: ArrayInOut) -> None:
+    """peak = the greatest effective dose x − a − b/alpha so far; when = the last step, from 0 on, that raised it."""
+    dose = x - a - b / alpha
+    when[...] = np.maximum(when, np.where(dose > peak, number, -1.0))
+    peak[...] = np.maximum(dose, peak)
+
+
+@pointwise(over="a_slope")
+def add_peak_slope(
+    slope: Array, when: Array, number: Real, alpha: Real, a_slope: ArrayInOut, b_slope: ArrayInOut, x_slope: ArrayInOut
+) -> None:
+    """Add derivatives with respect to the peak to those with respect to the state after the step that made it."""
+    own = np.where(when == number, slope, 0.0)
+    a_slope -= own
+    b_slope -= own / alpha
+    x_slope += own
+
+
+def oxygen_left(a: np.ndarray, v: np.ndarray, floor: float) -> np.ndarray:
+    """Oxygen after an exposure v of the oxygen a."""
+    z = np.maximum((a - v) / floor + np.log(a / floor), -60.0)
+    low = np.exp(np.minimum(z, 0.0))
+    w = np.where(z > 0.0, z + 0.567 - np.log(1.0 + np.maximum(z, 0.0)), low / (1.0 + 0.76 * low))
+    for _ in range(2):
+        missing, ahead = z - w - np.log(w), 1.0 + w
+        pull = ahead * (ahead + missing / 1.5)
+        w = w * (1.0 + missing / ahead * (pull - 0.5 * missing) / (pull - missing))
+    return floor * w
+
+
+@pointwise(over="used_end")
+def oxygen_step(
+    dose: Array, gain: Real, floor: Real, used: Array, x: Array, used_end: ArrayOut, x_end: ArrayOut
+) -> None:  # fmt: skip
+    """Used oxygen and X after the exposure gain·dose of oxygen alone; the end may be the beginning."""
+    v, before = gain * dose, np.maximum(1.0 - used, LEAST)
+    left = oxygen_left(before, v, floor)
+    used_end[...], x_end[...] = 1.0 - left, x + (v - (before - left))
+
+
+@pointwise(over="used_slope")
+def oxygen_adjoint(
+    dose: Array, gain: Real, floor: Real, used: Array, x_slope: Array, used_slope: ArrayInOut, dose_slope: ArrayInOut
+) -> None:  # fmt: skip
+    """Derivatives by the oxygen used after a step become those by that before it; those by the dose are added."""
+    before = np.maximum(1.0 - used, LEAST)
+    left = oxygen_left(before, gain * dose, floor)
+    share = left / before
+    by_v = (floor * x_slope + left * used_slope) / (left + floor)
+    used_slope[...] = share * used_slope + (1.0 - share) * by_v
+    dose_slope += gain * by_v
+
+
+@pointwise(over="a")
+def consume_oxygen(dose: Array, gain: Real, floor: Real, a: ArrayInOut, x: ArrayInOut) -> None:
+    """An implicit Euler step of the exposure gain·dose: the oxygen a falls by v·a/(a + floor), X rises by the rest."""
+    v = gain * dose
+    half = 0.5 * (a - v - floor)
+    root = np.sqrt(half * half + floor * a)
+    left = np.where(half > 0.0, half + root, floor * a / np.where(half > 0.0, 1.0, root - half))
+    x += v - (a - left)
+    a[...] = left
+
+
+@kernel(over="part", cpu=CPU)
 def take_poses(
     light: Annotated[np.ndarray, Field(("angle", "r", "z"))],
     first: Integer,
@@ -115,7 +185,7 @@ def take_poses(
     part[...] = light[int(first) : int(first) + len(part)]
 
 
-@kernel(over="part", cpu=CPU, gpu=GPU)
+@kernel(over="part", cpu=CPU)
 def put_poses(part: Part, first: Integer, light: SinogramOut) -> None:
     """light from angle ``first`` on = part; the other angles do not change."""
     light[int(first) : int(first) + len(part)] = part

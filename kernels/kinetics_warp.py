@@ -170,7 +170,7 @@ def tried(state: State, terms: Terms, left: float, tolerance: float):
 def lit_for(
     state: State, rates: wp.array2d[float], resin: int, visible: float, made: float, length: float, tolerance: float
 ):  # fmt: skip
-    """The state after an interval of light, and what is left of it where the resin depletes or steps run out."""
+    """The state after an interval of light, and the rest of the interval if the resin depletes or steps run out."""
     left = float(length)
     n = int(0)
     while left > 0.0 and n < MOST:
@@ -202,7 +202,7 @@ def inhibit(
     source = item % n_source
     scale = rates[resin, 4]
     y = wp.vec3(before[item, 0], before[item, 1], before[item, 2])
-    dose = wp.vec2(before[item, 3], 0.0)  # and what rounding lost of it
+    dose = wp.vec2(before[item, 3], 0.0)  # and its rounding error
     clock = wp.vec2(0.0, 0.0)
     event = float(NEVER)
     if is_depleted(y, scale):

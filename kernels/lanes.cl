@@ -20,16 +20,3 @@ FIELD_KERNEL from_lanes(__global const float *restrict field, __global float *re
             plain[((size_t)i * n_j + j) * n_z + ITEM_Z + k] = field[slab_offset(n_i, n_j) + SAMPLE(i, j, n_j) + k];
     }
 }
-
-FIELD_KERNEL copy_slices(__global const float *restrict source, int first, int lanes, __global float *restrict field,
-                         int n_i, int n_j, int n_source, int n_z) {
-    const int i = ITEM_MAJOR;
-    if (i >= n_i) return;
-    EACH_MINOR(j, n_j) {
-        for (int k = 0; k < ITEM_LANES; k++) {
-            const int z = ITEM_Z + k, s = first + z;
-            if (z < n_z && s >= 0 && s < n_source)
-                field[slab_offset(n_i, n_j) + SAMPLE(i, j, n_j) + k] = source[slice_offset(i, j, s, n_i, n_j, lanes)];
-        }
-    }
-}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Vectors, slice_of
+from vamgpu.kernels.wide_warp import Vectors
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -28,16 +28,3 @@ def from_lanes(field: Vectors, plain: wp.array3d[float], n_i: int, n_j: int, n_z
         z = 4 * (slab * field.shape[3] + lane) + k
         if z < n_z:
             plain[i, j, z] = values[k]
-
-
-@wp.kernel
-def copy_slices(
-    source: Vectors, first: int, lanes: int, field: Vectors, n_i: int, n_j: int, n_source: int, n_z: int
-) -> None:
-    slab, i, j, lane = wp.tid()
-    values = field[slab, i, j, lane]
-    for k in range(4):
-        z = 4 * (slab * field.shape[3] + lane) + k
-        if z < n_z and first + z >= 0 and first + z < n_source:
-            values[k] = slice_of(source, i, j, first + z)
-    field[slab, i, j, lane] = values

@@ -48,7 +48,7 @@ def correct_slices(
     back: Back, platform: Integer, reached: Real, opened: Real, spread: Real, state: State, flaws: Flaws,
     levels: SlicesOut, missed: Counts,
 ) -> None:  # fmt: skip
-    """levels = those that bring Ω to its target at every border as far as light can, each from the Ω of later slices.
+    """Choose levels that bring Ω as close to its target at every border as light can, given the Ω of later slices.
 
     inner: target of Ω inside a feature, by slices since its back side and slices until its front.  back: target in the
     void behind a feature, by slices until its back side. The last entries hold for all slices beyond. edges: light

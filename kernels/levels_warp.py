@@ -74,7 +74,7 @@ def level_of(
 
 @wp.func
 def count_flaws(flaws: wp.array3d[int], y: int, x: int, dose: float, lowest: float, reached: float, opened: float):
-    """Count what a part that begins finds: 1 if the void below did not reach it, and a void that did not open."""
+    """Count flaws where a feature begins: a closed void, and a back side with too little dose, which returns 1."""
     if lowest > opened:
         flaws[1, y, x] = flaws[1, y, x] + 1
     if dose < reached:

@@ -58,7 +58,7 @@ def line(edges: wp.array2d[float], r: int, side: int, pose: wp.vec4, along_y: in
 
 @wp.func
 def span_of(edges: wp.array2d[float], first: int, final: int, pose: wp.vec4, n_x: int, n_y: int):
-    """The span of columns first to final; the first chord's direction decides which planes it crosses most steeply."""
+    """The span of columns first to final, in the planes that the first chord crosses most steeply."""
     c = pose[0] * edges[first, 1] - pose[1] * edges[first, 2]
     s = pose[1] * edges[first, 1] + pose[0] * edges[first, 2]
     span = Span()

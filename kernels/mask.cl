@@ -8,15 +8,3 @@ __kernel void mask_bytes(__global const uchar *restrict images, __global const u
 }
 #endif
 
-#ifdef COMPILE_mask_rays
-FIELD_KERNEL mask_rays(__global const float *light, __global const float *restrict shares, __global float *masked,
-                       int n_angle, int n_r, int n_z) {
-    const int angle = ITEM_MAJOR;
-    if (angle >= n_angle) return;
-    const size_t slab = slab_offset(n_angle, n_r);
-    EACH_MINOR(r, n_r) {
-        const size_t at = slab + SAMPLE(angle, r, n_r);
-        EACH_VECTOR STORE(masked + at, shares[r] * LOAD(light + at));
-    }
-}
-#endif

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.signature import Sinogram, SinogramOut, Table, Tiling, kernel
+from vamgpu.kernels.pointwise import pointwise
+from vamgpu.kernels.signature import Sinogram, SinogramOut, Table, kernel
 
 Bytes = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"))]
 BytesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"), writes=True)]
@@ -20,7 +21,7 @@ def mask_bytes(images: Bytes, mask: Row, masked: BytesOut) -> None:
     masked[...] = images & mask
 
 
-@kernel(over="masked", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
+@pointwise(over="masked")
 def mask_rays(light: Sinogram, shares: Shares, masked: SinogramOut) -> None:
     """masked = light · shares[r]; masked may be light."""
     masked[...] = light * shares[None, :, None]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Vectors
-
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 
@@ -16,9 +14,3 @@ def mask_bytes(
 ) -> None:  # fmt: skip
     angle, row, byte = wp.tid()
     masked[angle, row, byte] = images[angle, row, byte] & mask[byte]
-
-
-@wp.kernel
-def mask_rays(light: Vectors, shares: wp.array[float], masked: Vectors, n_angle: int, n_r: int, n_z: int) -> None:
-    slab, angle, column, lane = wp.tid()
-    masked[slab, angle, column, lane] = shares[column] * light[slab, angle, column, lane]

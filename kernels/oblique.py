@@ -11,8 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.footprint import Edges
-from vamgpu.kernels.project import middle
+from vamgpu.kernels.footprint import Edges, middle
 from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
 
 Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]

@@ -10,7 +10,6 @@ typedef PASTE(int, WIDTH) Lanes;
 // All ones where lane k of vector v is a slice of the field, zero where it is padding.
 #define REAL_LANES ((ITEM_Z + v * WIDTH + LANE_IDS) < (Lanes)(n_z))
 #define ZERO ((Vector)(0.0f))
-#define MASKED(condition, value) select(ZERO, (value), (condition))
 
 #define I_BEGIN (TILE_MAJOR ? ITEM_MAJOR * TILE_MAJOR : 0)
 #define I_END (TILE_MAJOR ? min(I_BEGIN + TILE_MAJOR, n_i) : n_i)
@@ -30,31 +29,9 @@ static inline int part_index(int n_i, int n_j, int n_z) {
     return inside ? (ITEM_SLAB * major + ITEM_MAJOR) * minor * THREADS + (int)get_global_id(0) : -1;
 }
 
-#define SUMS(sum) Vector sum[VECTORS]; EACH_VECTOR sum[v] = ZERO
 #define OWN_PART const int part = part_index(n_i, n_j, n_z); if (part < 0 || part >= n_part) return
 
 // Whether this item does more than fill up a work-group.
 #define MINE (part_index(n_i, n_j, n_z) >= 0)
-
-static inline float across_lanes(Vector value, int kind) {
-    float lane[WIDTH];
-    PASTE(vstore, WIDTH)(value, 0, lane);
-    float result = lane[0];
-    for (int k = 1; k < WIDTH; k++)
-        result = kind == 0 ? result + lane[k] : kind == 1 ? fmin(result, lane[k]) : fmax(result, lane[k]);
-    return result;
-}
-
-// Sum over the lanes of all vectors.
-static inline float sum_of(const Vector *sums) {
-    float result = 0.0f;
-    EACH_VECTOR result += across_lanes(sums[v], 0);
-    return result;
-}
-
-static inline float disc_distance(int i, int j, int n_i, int n_j) {
-    const float a = i - 0.5f * (n_i - 1), b = j - 0.5f * (n_j - 1);
-    return a * a + b * b;
-}
 
 #endif

@@ -9,28 +9,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.kernels.reduce import CPU, Parts, disc
-from vamgpu.kernels.reduce import GPU as PARTIAL
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Tiling, kernel
-
-GPU = Tiling(major=1, minor=1)
+from vamgpu.kernels.pointwise import Parts, add_up, near_axis, pointwise
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real
 
 
-@kernel(over="light", cpu=CPU, gpu=PARTIAL)
-def primal_step(light: Array, columns: Array, step: Real, ahead: ArrayInOut, after: ArrayOut, moved: Parts) -> None:
-    """after = max(0, light − step·descent / columns), dark where columns are 0; ahead, which holds the descent, becomes
-    2·after − light.
+@pointwise(over="light")
+def primal_step(
+    light: Array, columns: Array, step: Real, most: Real, ahead: ArrayInOut, after: ArrayOut, moved: Parts
+) -> None:
+    """after = light − step·ahead / columns, clipped to 0…most, 0 where columns are 0; then ahead = 2·after − light.
 
-    columns: sum of a pixel's entries in all limits.  Σ moved = Σ columns·(after − light)².
+    ahead: the direction of descent.  columns: sum of a pixel's entries in all limits.
+    Σ moved = Σ columns·(after − light)².
     """
     lit = columns > 0
-    after[...] = np.where(lit, np.maximum(0.0, light - step * ahead / np.where(lit, columns, 1.0)), 0.0)
+    after[...] = np.where(lit, np.clip(light - step * ahead / np.where(lit, columns, 1.0), 0.0, most), 0.0)
     ahead[...] = 2.0 * after - light
-    moved[...] = 0.0
-    moved[0] = np.sum(columns * (after - light) ** 2)
+    add_up(moved, columns * (after - light) ** 2)
 
 
-@kernel(over="lower", cpu=CPU, gpu=PARTIAL)
+@pointwise(over="lower")
 def dual_step(
     ahead: Array, held: Array, target: Array, rows: Array, least: Real, leak: Real, step: Real, reach: Real,
     lower: Array, upper: Array, lower_after: ArrayOut, upper_after: ArrayOut, inside: Parts, outside: Parts,
@@ -43,29 +41,25 @@ def dual_step(
     the divisors of the steps. Σ crossed: of the change of (outside: lower, inside: upper − lower) times half of ahead −
     held.
     """
-    near = disc(target.shape[0], target.shape[1], reach)[:, :, None] & (rows > 0)
+    near = near_axis(target, reach) & (rows > 0)
     part, weight = target >= 0.5, np.where(near, rows, 1.0)
     excess = np.where(part, least - ahead, ahead - leak)
     lower_after[...] = np.where(near, np.maximum(0.0, lower + step * excess / (weight + 1.0)), 0.0)
     upper_after[...] = np.where(near & part, np.maximum(0.0, upper + step * (ahead - 1.0) / weight), 0.0)
     higher, tighter = lower_after - lower, upper_after - upper
-    for parts, values in (
-        (inside, np.where(part, lower_after, 0.0)),
-        (outside, np.where(part, 0.0, lower_after)),
-        (moved, (weight + 1.0) * higher**2 + weight * tighter**2),
-        (crossed, np.where(part, tighter - higher, higher) * (0.5 * (ahead - held))),
-    ):
-        parts[...] = 0.0
-        parts[0] = values.sum()
+    add_up(inside, np.where(part, lower_after, 0.0))
+    add_up(outside, np.where(part, 0.0, lower_after))
+    add_up(moved, (weight + 1.0) * higher**2 + weight * tighter**2)
+    add_up(crossed, np.where(part, tighter - higher, higher) * (0.5 * (ahead - held)))
 
 
-@kernel(over="pull", cpu=CPU, gpu=GPU)
+@pointwise(over="pull")
 def dual_dose(lower: Array, upper: Array, target: Array, pull: ArrayOut) -> None:
     """pull = cost of a unit of dose: ``lower`` outside, upper − lower inside."""
     pull[...] = np.where(target >= 0.5, upper - lower, lower)
 
 
-@kernel(over="now", cpu=CPU, gpu=GPU)
+@pointwise(over="now")
 def reflect(step: Array, anchor: Array, share: Real, now: ArrayInOut) -> None:
     """now = share·(2·step − now) + (1 − share)·anchor: reflection, pulled towards an anchor."""
     now[...] = share * (2.0 * step - now) + (1.0 - share) * anchor

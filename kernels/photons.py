@@ -18,7 +18,7 @@ ROUNDS = 7
 UNITS = 1 << 20
 """Whole numbers of the tally in a path of 1."""
 WAYS = 1 << 10
-"""Azimuths of a scattered photon: their means of waves of up to so many periods are those of a circle."""
+"""Number of azimuths of a scattered photon; means over them equal those over the circle for waves of fewer periods."""
 STEEP = 1e-4
 """Sine of a direction's angle to the axis below which its azimuth is taken as 0."""
 

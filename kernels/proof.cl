@@ -44,6 +44,12 @@ FIELD_KERNEL spread_columns(__global const float *restrict spread, __global cons
 #endif
 
 #ifdef COMPILE_expose_voxels
+#ifdef CPU
+#include "folds.h"
+#else
+typedef float Real;
+#endif
+
 // First and last bin whose light crosses a voxel (x, y), relative to the axis, and its share, at an angle's turn.
 static inline float4 look_up(__global const float4 *restrict pose, int n_across, int n_along, float4 turn, float scale,
                              float x, float y, float away) {
@@ -52,10 +58,9 @@ static inline float4 look_up(__global const float4 *restrict pose, int n_across,
                    fma(-away, across, along) + 0.5f * (n_along - 1));
 }
 
-// The light that crosses a voxel while its ends move: least and greatest position of both, one over six times their
-// path, the bins it meets, and its share.
+// The light that crosses a voxel while its ends move: least and greatest position of both, the bins it meets, its share.
 typedef struct {
-    float2 low, high, way;
+    float2 low, high;
     int first, stop;
     float share;
 } Light;
@@ -66,63 +71,86 @@ static inline Light light_of(__global const float4 *restrict pose, int n_across,
     const float4 after = turn.w > 0.0f ? look_up(pose, n_across, n_along, turn, scale, x, y, turn.w) : before;
     Light light;
     light.low = fmin(before.xy, after.xy), light.high = fmax(before.xy, after.xy);
-    light.way = 1.0f / (6.0f * fmax(light.high - light.low, 1e-6f));
     light.first = max((int)floor(light.low.x - 0.5f), 0), light.stop = min((int)ceil(light.high.y + 0.5f), n_bin);
     light.share = 0.5f * turn.z * (before.z + after.z);
     return light;
 }
 
-// Mean of t t / 2 over the path of the last end, minus that of the first; t: distance beyond the middle of a bin, or 0.
-static inline float beyond(const Light *light, int bin) {
-    const float2 low = light->low - (bin + 0.5f), high = fmax(light->high - (bin + 0.5f), 0.0f);
-    const float2 mean = select(high * high * high * light->way, (low * (low + high) + high * high) / 6.0f, low >= 0.0f);
-    return mean.y - mean.x;
+// The path of an end: least and greatest position, and one over six times its length.
+typedef struct {
+    Real low, high, way;
+} Path;
+
+static inline Path path_of(Real low, Real high) {
+    Path path = {low, high, 1.0f / (6.0f * fmax(high - low, (Real)(1e-6f)))};
+    return path;
 }
+
+// Mean of t t / 2 over a path; t: distance beyond the middle of a bin, or 0.
+static inline Real mean_beyond(const Path *path, Real bin) {
+    const Real low = path->low - (bin + 0.5f), high = fmax(path->high - (bin + 0.5f), (Real)(0.0f));
+    return select(high * high * high * path->way, (low * (low + high) + high * high) / 6.0f, low >= 0.0f);
+}
+
+// The same of the last end, minus that of the first.
+static inline Real beyond(const Path *ends, Real bin) { return mean_beyond(ends + 1, bin) - mean_beyond(ends, bin); }
 
 #ifdef CPU
-// On a CPU core, a look-up takes as long as the lanes that use it. It is therefore made once and stored, then applied
-// to every slab and, if a quarter turn maps voxels and angles onto themselves, to all four quarters (folds). TOGETHER
-// neighbors are stored before any is applied, because they read the same bins; those then come from the nearest cache.
+// On a processor core, a look-up takes as long as the lanes that use it. WIDTH neighbors of a row therefore make theirs
+// at once, for a block of turns (an arc and a branch); each is then applied to every slab and, if a quarter turn maps
+// voxels and angles onto themselves, to all four quarters (folds). Items go through squares of voxels, which meet few bins.
 typedef struct {
-    int count;
-    float weight[CAPACITY];
-    int from[4][CAPACITY];      // sample of the profile, per fold
-    int to[4];                  // voxel, per fold
+    int angle[4][TURNS];                                // by fold
+    int first[TURNS][WIDTH], count[TURNS][WIDTH];       // bins that a voxel meets
+    float weight[TURNS][BINS][WIDTH];
 } Notes;
 
-static inline void apply(const Notes *notes, int members, int folds, int slabs, __global const float *restrict profile,
-                         size_t profile_slab, __global float *restrict dose, size_t dose_slab) {
-    for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++) {
-        __global const float *from = profile + slab * profile_slab;
-        for (int member = 0; member < members; member++) {
-            const Notes *own = notes + member;
-            __global float *out = dose + slab * dose_slab + (size_t)own->to[fold] * LANES;
-            Vector sum[VECTORS];
-            EACH_VECTOR sum[v] = LOAD(out);
-            for (int note = 0; note < own->count; note++) {
-                const Vector weight = (Vector)(own->weight[note]);
-                __global const float *sample = from + (size_t)own->from[fold][note] * LANES;
-                EACH_VECTOR sum[v] = fma(weight, LOAD(sample), sum[v]);
-            }
-            EACH_VECTOR STORE(out, sum[v]);
-        }
+// Notes the bins from `skip` on, at most BINS of them, of the lit voxels at (x, y..); whether there are more.
+static inline bool note(Notes *notes, int turn, int skip, __global const float4 *restrict pose, int n_across, int n_along,
+                        float4 arc, float scale, float x, float y, const bool *lit, int n_bin) {
+    float low[2][WIDTH], high[2][WIDTH], share[WIDTH], bin[WIDTH];
+    int most = 0;
+    for (int lane = 0; lane < WIDTH; lane++) {
+        const Light light = light_of(pose, n_across, n_along, arc, scale, x, y + lane, n_bin);
+        const int first = light.first + skip, rest = lit[lane] && light.share != 0.0f ? max(light.stop - first, 0) : 0;
+        low[0][lane] = light.low.x, low[1][lane] = light.low.y;
+        high[0][lane] = light.high.x, high[1][lane] = light.high.y;
+        share[lane] = light.share, bin[lane] = first;
+        notes->first[turn][lane] = first, notes->count[turn][lane] = min(rest, BINS);
+        most = max(most, rest);
     }
+    const Path ends[2] = {path_of(VLOAD(0, low[0]), VLOAD(0, high[0])), path_of(VLOAD(0, low[1]), VLOAD(0, high[1]))};
+    const Vector first = VLOAD(0, bin), of = VLOAD(0, share);
+    Vector before = beyond(ends, first - 1.0f), here = beyond(ends, first);
+    for (int k = 0; k < min(most, BINS); k++) {
+        const Vector next = beyond(ends, first + (k + 1.0f));
+        VSTORE(of * (before - 2.0f * here + next), 0, notes->weight[turn][k]);
+        before = here, here = next;
+    }
+    return most > BINS;
 }
 
-// A turn by 90 degrees maps arc a to a + n_arc / 4 and voxel (x, y) to (-y, x), if angles are even over a turn.
-static inline int folds_of(__global const float4 *poses, int n_arc, int n_x, int n_y) {
-    if (n_arc % 4 || n_x != n_y || n_x % 2 == 0) return 1;
-    for (int arc = 0; arc < n_arc; arc++) {
-        const float4 here = poses[arc], turned = poses[(arc + n_arc / 4) % n_arc];
-        const float4 off = fabs((float4)(turned.x + here.y, turned.y - here.x, turned.z - here.z, turned.w - here.w));
-        if (off.x + off.y + off.z + off.w > 1e-4f) return 1;
+// Adds the noted light of a voxel to it and to those of some folds; together they keep the adders busy.
+#define FOLDS (VECTORS > 2 ? 1 : 4 / VECTORS)
+static inline void apply(const Notes *notes, int turns, int lane, int fold, const int folds, int row, int column, int n_y,
+                         int n_bin, bool begin, __global const float *profile, __global float *dose) {
+    Vector sum[FOLDS][VECTORS];
+    __global float *out[FOLDS];
+    __global const float *from[FOLDS];
+    UNROLL for (int f = 0; f < folds; f++) {
+        out[f] = dose + (size_t)turned_voxel(fold + f, row, column, n_y) * LANES;
+        EACH_VECTOR sum[f][v] = begin ? (Vector)(0.0f) : LOAD(out[f]);
     }
-    return 4;
-}
-static inline int turned_voxel(int fold, int x, int y, int n_y) {
-    const int last = n_y - 1;
-    return fold == 0 ? x * n_y + y : fold == 1 ? (last - y) * n_y + x
-         : fold == 2 ? (last - x) * n_y + last - y : y * n_y + last - x;
+    for (int turn = 0; turn < turns; turn++) {
+        UNROLL for (int f = 0; f < folds; f++)
+            from[f] = profile + SAMPLE(notes->angle[fold + f][turn], notes->first[turn][lane], n_bin);
+        for (int k = 0; k < notes->count[turn][lane]; k++) {
+            const Vector weight = (Vector)(notes->weight[turn][k][lane]);
+            UNROLL for (int f = 0; f < folds; f++)
+                EACH_VECTOR sum[f][v] = fma(weight, LOAD(from[f] + k * LANES), sum[f][v]);
+        }
+    }
+    UNROLL for (int f = 0; f < folds; f++) EACH_VECTOR STORE(out[f], sum[f][v]);
 }
 #endif
 
@@ -137,45 +165,48 @@ FIELD_KERNEL expose_voxels(__global const float *restrict profile, __global cons
     dose += slab_offset(n_x, n_y);
 #ifdef CPU
     const size_t from_slab = (size_t)n_angle * n_bin * LANES, to_slab = (size_t)n_x * n_y * LANES;
-    const int all = folds_of(poses, n_arc, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
+    const int slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB), items = get_global_size(1);
+    const int all = folds_of((__global const float *)poses, 4, n_arc, n_x, n_y, 1);
     // With folds: the rows behind the middle one, with the columns from the middle on, and the middle voxel by itself.
-    const int rows = all == 4 ? n_x / 2 + 1 : n_x, items = get_global_size(1);
-    const int from = (int)((long)ITEM_MAJOR * rows / items), to = (int)((long)(ITEM_MAJOR + 1) * rows / items);
-    Notes notes[TOGETHER];
-    for (int block = 0; block < n_arc; block += ARCS) for (int k = from; k < to; k++) {
-        const int row = all == 4 ? n_x / 2 + k : k, alone = all == 4 && k == 0, folds = alone ? 1 : all;
-        const int begin = all == 4 ? n_y / 2 : 0, end = alone ? begin + 1 : n_y;
-        for (int first = begin; first < end; first += TOGETHER) {
-            const int members = min(TOGETHER, end - first);
-            for (int member = 0; member < members; member++) {
-                Notes *own = notes + member;
-                const float x = row - x0, y = first + member - y0;
-                own->count = 0;
-                for (int fold = 0; fold < folds; fold++) own->to[fold] = turned_voxel(fold, row, first + member, n_y);
-                if (!block) for (int fold = 0; fold < folds; fold++) for (int slab = 0; slab < slabs; slab++) {
-                    __global float *out = dose + slab * to_slab + (size_t)own->to[fold] * LANES;
-                    EACH_VECTOR STORE(out, (Vector)(0.0f));
-                }
-                if (!within(x, y, radius)) continue;
-                const int branches = within(x, y, single) ? 1 : n_branch;
-                for (int arc = block; arc < min(n_arc, block + ARCS); arc++)
-                    for (int branch = 0; branch < branches; branch++) {
-                        const Light light = light_of(pose + branch * table, n_across, n_along, poses[arc], scale, x, y, n_bin);
-                        float before = beyond(&light, light.first - 1), here = beyond(&light, light.first);
-                        for (int bin = light.first; bin < light.stop; bin++) {
-                            if (own->count == CAPACITY) {
-                                apply(own, 1, folds, slabs, profile, from_slab, dose, to_slab);
-                                own->count = 0;
-                            }
-                            for (int fold = 0; fold < folds; fold++)
-                                own->from[fold][own->count] = (arc + fold * (n_arc / 4)) % n_arc / arcs * n_bin + bin;
-                            const float next = beyond(&light, bin + 1);
-                            own->weight[own->count++] = light.share * (before - 2.0f * here + next);
-                            before = here, here = next;
-                        }
-                    }
+    const int start = all == 4 ? n_x / 2 : 0, across = (n_y - start + WIDTH - 1) / WIDTH;
+    const int squares = across * ((n_x - start + WIDTH - 1) / WIDTH), end = (int)((long)(ITEM_MAJOR + 1) * squares / items);
+    Notes notes;
+    for (int square = (int)((long)ITEM_MAJOR * squares / items); square < end; square++) {
+        const int top = start + square / across * WIDTH, bottom = min(top + WIDTH, n_x);
+        const int left = start + square % across * WIDTH, right = min(left + WIDTH, n_y);
+        bool folded = false;                // whether any voxel is on several branches
+        for (int row = top; row < bottom; row++) for (int column = left; column < right; column++)
+            folded |= !within(row - x0, column - y0, single);
+        const int branches = folded ? n_branch : 1, turns = n_arc * branches;
+        for (int block = 0; block < turns; block += TURNS) for (int row = top; row < bottom; row++) {
+            const bool alone = all == 4 && row == start;
+            const int columns = clamp((alone ? start + 1 : right) - left, 0, WIDTH);
+            bool lit[2][WIDTH], any = false;            // on the first branch, and on the others
+            for (int lane = 0; lane < WIDTH; lane++) {
+                const float x = row - x0, y = left + lane - y0;
+                lit[0][lane] = lane < columns && within(x, y, radius), lit[1][lane] = lit[0][lane] && !within(x, y, single);
+                any |= lit[0][lane];
             }
-            apply(notes, members, folds, slabs, profile, from_slab, dose, to_slab);
+            if (!any && block) continue;
+            const int count = any ? min(TURNS, turns - block) : 0;
+            bool more = true;
+            for (int skip = 0; more; skip += BINS) {
+                more = false;
+                for (int turn = 0; turn < count; turn++) {
+                    const int arc = (block + turn) / branches, branch = (block + turn) % branches;
+                    for (int fold = 0; fold < 4; fold++) notes.angle[fold][turn] = (arc + fold * (n_arc / 4)) % n_arc / arcs;
+                    more |= note(&notes, turn, skip, pose + branch * table, n_across, n_along, poses[arc], scale,
+                                 row - x0, left - y0, lit[branch > 0], n_bin);
+                }
+                for (int slab = 0; slab < slabs; slab++) for (int lane = 0; lane < columns; lane++) {
+                    __global const float *from = profile + slab * from_slab;
+                    __global float *to = dose + slab * to_slab;
+                    const bool begin = !block && !skip;
+                    if (alone || all == 1) apply(&notes, count, lane, 0, 1, row, left + lane, n_y, n_bin, begin, from, to);
+                    else for (int fold = 0; fold < 4; fold += FOLDS)
+                        apply(&notes, count, lane, fold, FOLDS, row, left + lane, n_y, n_bin, begin, from, to);
+                }
+            }
         }
     }
 #else
@@ -187,9 +218,10 @@ FIELD_KERNEL expose_voxels(__global const float *restrict profile, __global cons
     UNROLL for (int s = 0; s < TILE_SLABS; s++) sum[s] = (Vector)(0.0f);
     if (within(x, y, radius)) for (int arc = 0; arc < n_arc; arc++) for (int branch = 0; branch < branches; branch++) {
         const Light light = light_of(pose + branch * table, n_across, n_along, poses[arc], scale, x, y, n_bin);
-        float before = beyond(&light, light.first - 1), here = beyond(&light, light.first);
+        const Path ends[2] = {path_of(light.low.x, light.high.x), path_of(light.low.y, light.high.y)};
+        float before = beyond(ends, light.first - 1), here = beyond(ends, light.first);
         for (int bin = light.first; bin < light.stop; bin++) {
-            const float next = beyond(&light, bin + 1), weight = light.share * (before - 2.0f * here + next);
+            const float next = beyond(ends, bin + 1), weight = light.share * (before - 2.0f * here + next);
             before = here, here = next;
             __global const float *sample = profile + SAMPLE(arc / arcs, bin, n_bin);
             UNROLL for (int s = 0; s < TILE_SLABS; s++) {   // the surplus slabs of the last item repeat the last one

@@ -1,9 +1,9 @@
 """The dose of frames in the resin, computed independently of the solver's operators.
 
 A pixel's light is spread once along z and once along r into fine bins. Rays traced through one angle give the bins
-between which the light lies that crosses a voxel; where caustics fold the light, they do so for every fold (branch).
-While a frame is lit, both ends move uniformly from their positions before to those after. Fine voxels get the mean of
-the light between both ends, and part voxels the mean of fine ones.
+between which the light lies that crosses a voxel; where caustics fold the light, one pair of bins for every fold
+(branch). While a frame is lit, both ends move uniformly from their positions before to those after. Fine voxels get the
+mean of the light between both ends, and part voxels the mean of fine ones.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.project import middle
+from vamgpu.kernels.footprint import middle
 from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
 
 Light = Annotated[np.ndarray, Field(("angle", "r", "row"))]
@@ -26,12 +26,12 @@ Fine = Annotated[np.ndarray, Field(("u", "v", "level"))]
 RowShares = Annotated[np.ndarray, Table("float32", ("row", "slice"))]
 """Light of each slice from the light of a row; slices beyond the last z fill whole vectors."""
 RowSpan = Annotated[np.ndarray, Table("int32", ("slice", "2"))]
-"""First row that lights a slice, and the one after the last; beyond them its shares are 0, and neither ever falls."""
+"""First row that lights a slice, and the one after the last; its shares beyond them are 0. Both never fall."""
 First = Annotated[np.ndarray, Table("int32", ("bin",))]
 ColumnShares = Annotated[np.ndarray, Table("float32", ("bin", "tap"))]
 """Light of each bin from the light of column first + tap."""
 Poses = Annotated[np.ndarray, Table("float32", ("arc", "4"))]
-"""Cosine, sine, time over the mean time, and half the turn meanwhile [rad]; as many successive arcs for each angle."""
+"""Cosine, sine, time over the mean time, half the turn meanwhile [rad]; equally many successive arcs for each angle."""
 Pose = Annotated[np.ndarray, Table("float32", ("branch", "across", "along", "4"))]
 """First and last bin (with fractions) whose light crosses a voxel, its share, and a spare."""
 Taps = Annotated[np.ndarray, Table("float32", ("2", "tap"))]
@@ -53,9 +53,9 @@ def spread_columns(spread: Rows, first: First, shares: ColumnShares, profile: Pr
 
 @kernel(
     over="dose",
-    cpu=Tiling(major=16, minor=0, slabs=4),
+    cpu=Tiling(major=8, minor=0, slabs=16),
     gpu=Tiling(major=1, minor=1, slabs=4, group=(64, 4)),
-    constants={"cpu": {"ARCS": 4, "TOGETHER": 16, "CAPACITY": 64}},
+    constants={"cpu": {"TURNS": 4, "BINS": 8}},
 )
 def expose_voxels(
     profile: Profile, poses: Poses, pose: Pose, scale: Real, single: Real, radius: Real, dose: VolumeOut

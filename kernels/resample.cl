@@ -1,5 +1,6 @@
 #include "common.h"
 
+#ifdef SPAN
 // One lane after another: neighbors in z are in one slab, or in the next.
 static inline void resample_lanes(__global const float *source, __global const int *first, __global const float *weights,
                                   int lanes, __global float *target, int i, int j, int begin, int end, int n_i, int n_j,
@@ -13,6 +14,18 @@ static inline void resample_lanes(__global const float *source, __global const i
         *target = sum;
     }
 }
+#else
+// The source slices of four slices: the first, a multiple of four, and how many times four of them.
+static inline int quads_from(__global const int *first, int low, int n_source, int n_z, int n_tap, int *begin) {
+    int from = n_source, end = 0;
+    for (int z = low; z < min(low + 4, n_z); z++) {
+        from = min(from, max(first[z], 0));
+        end = max(end, min(first[z] + n_tap, n_source));
+    }
+    *begin = from - from % 4;
+    return (max(end - *begin, 0) + 3) / 4;
+}
+#endif
 
 FIELD_KERNEL resample(__global const float *restrict source, __global const int *restrict first,
                       __global const float *restrict weights, int lanes, __global float *restrict target,
@@ -63,51 +76,48 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
         }
     }
 #else
-    // Shares of four slices each, of source slices from a multiple of four on, are stored once per group.
+    // Shares of four slices each, of source slices from a multiple of four on, are stored once per group, some at a time.
     __local float4 shares[4 * QUADS * THREADS];
-    const int lane = get_local_id(0) % THREADS, low = ITEM_Z, high = min(low + 4, n_z);
-    int begin = n_source, end = 0;
-    for (int z = low; z < high; z++) {
-        begin = min(begin, max(first[z], 0));
-        end = max(end, min(first[z] + n_tap, n_source));
-    }
-    begin -= begin % 4;
-    const int quads = (max(end - begin, 0) + 3) / 4;
-    for (int s = get_local_id(0) / THREADS; s < 4 * QUADS; s += get_local_size(0) / THREADS) {
-        float share[4];
-        for (int k = 0; k < 4; k++) {
-            const int tap = low + k < n_z ? begin + s - first[low + k] : -1;
-            share[k] = tap >= 0 && tap < n_tap ? weights[(low + k) * n_tap + tap] : 0.0f;
-        }
-        shares[s * THREADS + lane] = vload4(0, share);
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (quads > QUADS) {
-        EACH_MINOR(j, n_j)
-            resample_lanes(source, first, weights, lanes, target + SAMPLE(i, j, n_j), i, j, low, high, n_i, n_j, n_source,
-                           n_tap);
-        return;
-    }
-    for (int j = MINOR_BEGIN, stop = MINOR_END(n_j); j < stop; j += BESIDE) {
+    const int lane = get_local_id(0) % THREADS, low = ITEM_Z;
+    int begin, most = 0;
+    for (int other = 0; other < THREADS; other++)
+        most = max(most, quads_from(first, low + 4 * (other - lane), n_source, n_z, n_tap, &begin));
+    const int quads = quads_from(first, low, n_source, n_z, n_tap, &begin);
+    for (int block = 0, j = MINOR_BEGIN; block < TILE_MINOR; block += BESIDE, j += BESIDE) {
         Vector sum[BESIDE];
         UNROLL for (int k = 0; k < BESIDE; k++) sum[k] = (Vector)(0.0f);
-        for (int q = 0; q < quads; q++) {
-            const int s = begin + 4 * q;
-            float4 near[BESIDE];
-            UNROLL for (int k = 0; k < BESIDE; k++) {
-                near[k] = *(__global const float4 *)(source + slice_offset(i, min(j + k, n_j - 1), s, n_i, n_j, lanes));
-                if (s + 4 > n_source) near[k] = select((float4)(0.0f), near[k], (int4)(s, s + 1, s + 2, s + 3) < n_source);
+        for (int done = 0; done < most; done += QUADS) {
+            if (block == 0 || most > QUADS) {
+                barrier(CLK_LOCAL_MEM_FENCE);
+                for (int s = get_local_id(0) / THREADS; s < 4 * QUADS; s += get_local_size(0) / THREADS) {
+                    float share[4];
+                    for (int k = 0; k < 4; k++) {
+                        const int tap = low + k < n_z ? begin + 4 * done + s - first[low + k] : -1;
+                        share[k] = tap >= 0 && tap < n_tap ? weights[(low + k) * n_tap + tap] : 0.0f;
+                    }
+                    shares[s * THREADS + lane] = vload4(0, share);
+                }
+                barrier(CLK_LOCAL_MEM_FENCE);
             }
-            __local const float4 *share = shares + 4 * q * THREADS + lane;
-            UNROLL for (int k = 0; k < BESIDE; k++) {
-                sum[k] = fma(share[0], (Vector)(near[k].x), sum[k]);
-                sum[k] = fma(share[THREADS], (Vector)(near[k].y), sum[k]);
-                sum[k] = fma(share[2 * THREADS], (Vector)(near[k].z), sum[k]);
-                sum[k] = fma(share[3 * THREADS], (Vector)(near[k].w), sum[k]);
+            for (int q = 0; q < min(QUADS, quads - done); q++) {
+                const int s = begin + 4 * (done + q);
+                float4 near[BESIDE];
+                UNROLL for (int k = 0; k < BESIDE; k++) {
+                    near[k] =
+                        *(__global const float4 *)(source + slice_offset(i, min(j + k, n_j - 1), s, n_i, n_j, lanes));
+                    if (s + 4 > n_source)
+                        near[k] = select((float4)(0.0f), near[k], (int4)(s, s + 1, s + 2, s + 3) < n_source);
+                }
+                __local const float4 *share = shares + 4 * q * THREADS + lane;
+                UNROLL for (int k = 0; k < BESIDE; k++) {
+                    sum[k] = fma(share[0], (Vector)(near[k].x), sum[k]);
+                    sum[k] = fma(share[THREADS], (Vector)(near[k].y), sum[k]);
+                    sum[k] = fma(share[2 * THREADS], (Vector)(near[k].z), sum[k]);
+                    sum[k] = fma(share[3 * THREADS], (Vector)(near[k].w), sum[k]);
+                }
             }
         }
-        for (int k = 0, there = min(BESIDE, stop - j); k < there; k++)
-            *(__global Vector *)(target + SAMPLE(i, j + k, n_j)) = sum[k];
+        for (int k = 0; k < min(BESIDE, n_j - j); k++) *(__global Vector *)(target + SAMPLE(i, j + k, n_j)) = sum[k];
     }
 #endif
 }

@@ -41,7 +41,7 @@ FIELD_KERNEL ring_pose(__global const float *restrict feet, int first, int colum
 #endif
 
 #ifdef COMPILE_ring_entries
-// What a mean over an arc leaves of a wave.
+// Share of a wave that remains after a mean over an arc.
 static inline float left_by(float arc, int wave) {
     const float x = 0.5f * arc * wave;
     return x == 0.0f ? 1.0f : sin(x) / x;

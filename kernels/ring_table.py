@@ -1,4 +1,4 @@
-"""The table of a projection on rings: what the light of one pose leaves on the rings, by angular frequency.
+"""The table of a projection on rings: the light of one pose on the rings, by angular frequency.
 
 `ring_pose` samples the light of one pose in `ROWS` rings, `fourier` transforms it over the turn, `ring_entries` writes
 the result into the table, and `ring_coefficients` turns its samples into coefficients of splines.
@@ -22,7 +22,7 @@ PoseOut = Annotated[np.ndarray, Field(("angle", "cell", "z"), writes=True)]
 Begins = Annotated[np.ndarray, Table("int32", ("sample",))]
 """First entry of a frequency in the tiles of frequencies k + j · angles, for each j."""
 Arcs = Annotated[np.ndarray, Table("float32", ("2", "8"))]
-"""Two turns [rad] over which each of `ROWS` rings has a mean."""
+"""Two arcs [rad] over which each of `ROWS` rings is averaged."""
 EntriesOut = Annotated[np.ndarray, Table("float32", ("entry",), writes=True)]
 EntriesInOut = Annotated[np.ndarray, Table("float32", ("entry",), writes=True, updates=True)]
 Steps = Annotated[np.ndarray, Table("int32", ("tile", "8"))]
@@ -52,7 +52,7 @@ def ring_pose(
 
 @kernel(over="spectrum", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1, group=(128, 1)))
 def ring_entries(spectrum: Spectrum, begins: Begins, arcs: Arcs, columns: Integer, entries: EntriesOut) -> None:
-    """Write a spectrum of real samples into a table, over their number: ``columns`` of it, an even number, at most.
+    """Write at most ``columns`` (even) columns of a spectrum of real samples into a table, divided by the sample count.
 
     Neighboring columns are real and imaginary part of one complex number before the transform; F(κ) and F(−κ) give
     both of them again. A mean over an arc multiplies a wave by sin(x) / x, x = κ · arc / 2.
@@ -77,7 +77,7 @@ def ring_entries(spectrum: Spectrum, begins: Begins, arcs: Arcs, columns: Intege
 def ring_coefficients(
     steps: Steps, pivots: Pivots, angles: Integer, own: Real, beside: Real, entries: EntriesInOut, peaks: Peaks
 ) -> None:  # fmt: skip
-    """Turn entries of samples into those of coefficients of splines, and give the greatest of `ROWS` pairs of columns.
+    """Replace entries of samples by those of spline coefficients; peaks = greatest entry of `ROWS` pairs of columns.
 
     own, beside: weights of a coefficient in its own sample and in either next one. The elimination runs along the
     radius, outward and back, through all tiles of a track that have a pair; then each frequency is divided by its

@@ -88,7 +88,7 @@ def ring_pose(
 
 @wp.func
 def left_by(arc: float, wave: int):
-    """What a mean over an arc leaves of a wave."""
+    """Share of a wave that remains after a mean over an arc."""
     x = 0.5 * arc * float(wave)
     return wp.where(x == 0.0, 1.0, wp.sin(x) / wp.where(x == 0.0, 1.0, x))
 

@@ -8,9 +8,8 @@ FIELD_KERNEL shift_images(__global const float *restrict source, __global const 
                           int n_angle, int n_r, int n_z) {
     const int angle = ITEM_MAJOR;
     if (angle >= n_angle) return;
-    const int poses = min(n_image, n_angle);
     const float4 own = moves[angle];
-    if (own.z == 0.0f && own.w == 0.0f && n_image == n_angle && lanes == LANES && n_row == n_z
+    if (own.z == 0.0f && own.w == 0.0f && n_move == n_angle && n_image == n_angle && n_tile == 1 && lanes == LANES && n_row == n_z
         && ITEM_Z + ITEM_LANES <= n_z) {
         source += slab_offset(n_angle, n_column);
         moved += slab_offset(n_angle, n_r);
@@ -32,13 +31,14 @@ FIELD_KERNEL shift_images(__global const float *restrict source, __global const 
         for (int lane = 0; lane < ITEM_LANES; lane++) {
             const int z = ITEM_Z + lane;
             float sum = 0.0f;
-            for (int k = angle; k < max(n_image, n_angle) && z < n_z; k += n_angle) {
+            for (int k = angle; k < n_move && z < n_z; k += n_angle) {
                 const float4 move = moves[k];
-                __global const float *taper = tapers + (size_t)(k / poses) * n_taper;
+                __global const float *taper = tapers + (size_t)k * n_tile / n_move * n_taper;
                 for (int corner = 0; corner < 4; corner++) {
                     const int column = r + (int)move.x + corner / 2, row = z + (int)move.z + corner % 2;
                     if (column < 0 || column >= n_column || row < 0 || row >= n_row) continue;
                     const float share = (corner / 2 ? move.y : 1.0f - move.y) * (corner % 2 ? move.w : 1.0f - move.w);
+                    if (share == 0.0f) continue;
                     const size_t at = slice_offset(k % n_image, column, row, n_image, n_column, lanes);
                     sum = fma(share * taper[after ? z : row], source[at], sum);
                 }

@@ -1,4 +1,4 @@
-"""Images moved by fractions of a pixel, and cut into tiles or put together again."""
+"""Images moved by fractions of a pixel, summed over several moves, and cut into tiles or put together again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Source = Annotated[np.ndarray, Field(("image", "column", "row"))]
 Moves = Annotated[np.ndarray, Table("float32", ("move", "4"))]
 """Position of pixel (0, 0) of a moved image in its source: whole columns, their fraction, whole rows, fraction."""
 Tapers = Annotated[np.ndarray, Table("float32", ("tile", "taper"))]
-"""Weight of every row of a tile."""
+"""Weight of every row, of each move, or of each tile and therefore of as many moves as there are angles."""
 
 
 def _moved(image: np.ndarray, move: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -29,17 +29,16 @@ def _moved(image: np.ndarray, move: np.ndarray, shape: tuple[int, ...]) -> np.nd
 def shift_images(
     source: Source, moves: Moves, tapers: Tapers, after: Integer, lanes: Integer, moved: SinogramOut
 ) -> None:
-    """moved[a] = Σ of the source's images of the same angle, each moved, its rows weighted by its tile's taper.
+    """moved[a] = Σ over moves k with k % angles = a of the source's image k % images, moved, its rows weighted.
 
-    The source or the result has tiles, whichever has more images: image k belongs to angle k % n, where n is the
-    smaller count, to the tile k // n and to the move k. after: 1 if tapers are of the moved rows, 0 if they are of the
-    source's. lanes: of the source's layout. With source and moved exchanged, opposite moves and the other ``after``,
-    this is the transpose.
+    There are as many moves as the source or the result has images, if one of them has tiles, or several for each image.
+    after: 1 if tapers are of the moved rows, 0 if they are of the source's. lanes: of the source's layout. With source
+    and moved exchanged, opposite moves and the other ``after``, this is the transpose.
     """
     images, angles = len(source), len(moved)
     moved[...] = 0.0
-    for k in range(max(images, angles)):
-        taper, image = tapers[k // min(images, angles)], source[k % images]
+    for k in range(len(moves)):
+        taper, image = tapers[k * len(tapers) // len(moves)], source[k % images]
         if after:
             moved[k % angles] += _moved(image, moves[k], moved.shape[1:]) * taper
         else:

@@ -16,15 +16,15 @@ def shift_images(
     n_image: int, n_column: int, n_row: int, n_move: int, n_tile: int, n_taper: int, n_angle: int, n_r: int, n_z: int,
 ) -> None:  # fmt: skip
     slab, angle, r, lane = wp.tid()
-    poses = wp.min(n_image, n_angle)
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for which in range(4):
         z = 4 * (slab * moved.shape[3] + lane) + which
         total = float(0.0)
         if z < n_z:
-            for k in range(angle, wp.max(n_image, n_angle), n_angle):
+            for k in range(angle, n_move, n_angle):
                 first_r = r + int(moves[k, 0])
                 first_z = z + int(moves[k, 2])
+                taper = int(wp.int64(k) * wp.int64(n_tile) / wp.int64(n_move))
                 for corner in range(4):
                     column = first_r + corner // 2
                     row = first_z + corner % 2
@@ -34,6 +34,6 @@ def shift_images(
                         own = row
                         if after != 0:
                             own = z
-                        total += share * tapers[k // poses, own] * slice_of(source, k % n_image, column, row)
+                        total += share * tapers[taper, own] * slice_of(source, k % n_image, column, row)
         result[which] = total
     moved[slab, angle, r, lane] = result

@@ -11,9 +11,9 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 
@@ -97,11 +97,11 @@ class Kernel:
     """One declared kernel: its definition, arguments, and the field whose samples its work items divide.
 
     reach: other slices on which a slice's result depends. Nothing: none. An axis: as many to either side as its length
-    minus one. A table along z: slices of another field, from its entry on, as many as the axis ``tap``. A number: the
-    slice of another field that lies there when that field begins at the slice with this number; without such a field
-    none, but slices have numbers, of which this is the first. "all": any. A kernel over a table reaches along "part" if
-    its result is partial results of partial results. nvidia: replaces `gpu` if NVIDIA's OpenCL has matrix units, for
-    fields with whole slabs.
+    minus one. A table along z: slices of another field, from its entry on, as many as the axis ``tap``. A number:
+    another field begins at the slice with this number, and slices depend on its slices at the same place; without
+    another field, the number of the first slice. "all": any. A kernel over a table reaches along "part" if it folds
+    partial results to fewer. nvidia: replaces `gpu` if NVIDIA's OpenCL has matrix units, for fields with whole slabs.
+    constants: per device kind ("cpu", "gpu"), names and values with which its OpenCL version is compiled.
     """
 
     definition: Callable[..., None]
@@ -111,6 +111,8 @@ class Kernel:
     gpu: Tiling = Tiling()
     nvidia: Tiling | None = None
     constants: dict[str, dict[str, int]] = field(default_factory=dict)
+    pointwise: bool = False
+    """Whether `vamgpu.kernels.pointwise` writes its OpenCL and Warp versions."""
 
     @property
     def name(self) -> str:
@@ -150,37 +152,27 @@ class Kernel:
 
     def sizes(self, shapes: dict[str, tuple[int, ...]]) -> dict[str, int]:
         """Axis sizes implied by argument shapes; raises `ShapeMismatch` if two arguments disagree."""
-        sizes: dict[str, int] = {}
-        owner: dict[str, str] = {}
-        for name, shape in shapes.items():
-            axes = self.arguments[name].axes  # type: ignore[union-attr]
-            if len(axes) != len(shape):
-                raise ShapeMismatch(f"{self.name}: {name} has shape {shape}; expected axes [{', '.join(axes)}]")
-            for axis, size in zip(axes, shape, strict=True):
-                expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
-                owner.setdefault(axis, name)
-                if size != expected:
-                    raise ShapeMismatch(
-                        f"{self.name}: axis {axis} of {name} is {size}; {owner[axis]} has {expected}; make them equal"
-                    )
-        return sizes
+        return dict(_sizes(self, tuple(shapes.items())))  # the cached one stays as it is
 
 
-def kernel(
-    over: str,
-    *,
-    reach: str = "",
-    cpu: Tiling = Tiling(),
-    gpu: Tiling = Tiling(),
-    nvidia: Tiling | None = None,
-    constants: dict[str, dict[str, int]] | None = None,
-) -> Callable[[Callable[..., None]], Kernel]:
-    """Declare the decorated NumPy definition as a kernel whose items divide the field ``over``.
+@lru_cache(maxsize=4096)
+def _sizes(kernel: Kernel, shapes: tuple[tuple[str, tuple[int, ...]], ...]) -> dict[str, int]:
+    sizes: dict[str, int] = {}
+    owner: dict[str, str] = {}
+    for name, shape in shapes:
+        axes = kernel.arguments[name].axes  # type: ignore[union-attr]
+        if len(axes) != len(shape):
+            raise ShapeMismatch(f"{kernel.name}: {name} has shape {shape}; expected axes [{', '.join(axes)}]")
+        for axis, size in zip(axes, shape, strict=True):
+            expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
+            owner.setdefault(axis, name)
+            if size != expected:
+                raise ShapeMismatch(
+                    f"{kernel.name}: axis {axis} of {name} is {size}; {owner[axis]} has {expected}; make them equal"
+                )
+    return sizes
 
-    constants: per device kind ("cpu", "gpu"), names and values with which its OpenCL version is compiled.
-    """
 
-    def declare(definition: Callable[..., None]) -> Kernel:
-        return Kernel(definition, over, reach, cpu, gpu, nvidia, constants or {})
-
-    return declare
+def kernel(over: str, **options: Any) -> Callable[[Callable[..., None]], Kernel]:
+    """Declare the decorated NumPy definition as a `Kernel` with these fields."""
+    return lambda definition: Kernel(definition, over, **options)

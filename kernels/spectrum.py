@@ -1,8 +1,8 @@
 """Projection on rings: the effect of a turntable on light and dose is a product for each angular frequency.
 
-At even angles the light of one angle, rotated, is the light of all angles. On rings of even angular samples, the dose
-is therefore a convolution over the angle: a Fourier transform of the light over angles, for each frequency a product
-with the light of one angle on the rings, and the inverse transform. Two neighboring slices are the real and the
+If angles are evenly spaced, the light of one angle, rotated, gives the light of all. On rings of even angular samples,
+the dose is therefore a convolution over the angle: a Fourier transform of the light over angles, for each frequency a
+product with the light of one angle on the rings, and the inverse transform. Two neighboring slices are the real and the
 imaginary part of one complex number; the convolution is real, and they never mix. The number of slices is even.
 
 A volume is ``[turn, ring cell, z]``: a ring that has m samples a turn has m of the cells, and sample t·m + q of it lies
@@ -80,7 +80,7 @@ def _products(n: int, count: int, most: int) -> list[tuple[int, ...]]:
 
 def is_even(band: tuple[int, ...]) -> bool:
     """Whether the inputs and outputs of a pass of a band are evenly spaced in their fields."""
-    # No step from one to the next exceeds the n of their positions.
+    # Steps between neighbors do not exceed the n of their positions.
     _, n, _, radix, done, _, _, source, _, _, _, sink, _, _ = band
     read = n // radix % source == 0 or source >= n
     return read and (done % sink == 0 or sink % (done * radix) == 0 or sink >= n)
@@ -130,7 +130,7 @@ def fourier(
     source: Source, bands: RingBands, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
     sink: Sink,
 ) -> None:  # fmt: skip
-    """One pass of the Fourier transforms of rings over their samples, with exponent ``sign``·i; in order at the end.
+    """One pass of the Fourier transforms of rings over their samples, exponent ``sign``·i; the last one is in order.
 
     first, second, third, last: `factors` of the radix, if that is the same for all bands, whose samples are evenly
     spaced (`is_even`), and groups of a GPU compute it at once; else 0.
@@ -190,8 +190,8 @@ def light_rings(
 ) -> None:  # fmt: skip
     """spectrum = entries · light: real parts use sums of columns that mirror each other, imaginary ones differences.
 
-    If light is not mirrored (0), both use the columns themselves. Only for matrix units: greatest, which no entry
-    exceeds; order; and tf32: numbers may lose the bits beyond the first eleven.
+    If light is not mirrored (0), both use the columns themselves. Only matrix units use ``greatest`` (a bound on the
+    entries), ``order``, and ``tf32`` (whether numbers may be rounded to eleven bits).
     """
     right, left = _right_and_left(light.shape[1], mirrored)
     for k, values in enumerate(_paired(light)):

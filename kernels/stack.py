@@ -1,4 +1,4 @@
-"""Slices of one field that are inserted into a taller one."""
+"""Slices of one field in another."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ Source = Annotated[np.ndarray, Field(("i", "j", "source"))]
 def put_slices(source: Source, first: Integer, factor: Real, keep: Integer, lanes: Integer, stack: ArrayInOut) -> None:
     """stack[i, j, first + s] = factor·source[i, j, s], added to the old value if ``keep`` is not 0.
 
-    lanes: of the source's layout (0 if it is plain).  Other slices do not change.
+    first: may be negative.  lanes: of the source's layout (0 if it is plain).  Other slices do not change.
     """
-    room = stack[:, :, first : first + source.shape[2]]
-    room[...] = factor * source + (room if keep else 0.0)
+    begin, end = max(first, 0), max(min(first + source.shape[2], stack.shape[2]), 0)
+    room = stack[:, :, begin:end]
+    room[...] = factor * source[:, :, begin - first : end - first] + (room if keep else 0.0)

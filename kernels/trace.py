@@ -65,7 +65,7 @@ def survey_rays(
     medium: Medium, starts: Starts, directions: Directions, top: Real, step: Real, most: Integer, kind: Integer,
     steps: StepsOut,
 ) -> None:  # fmt: skip
-    """Number of steps of the longest ray of each pixel, or −1 if one has not left after ``most``. top: end of z."""
+    """Number of steps of each pixel's longest ray; −1 if one is still inside after ``most``. top: upper end in z."""
     total = directions.shape[0] * starts.shape[0]
     count = np.zeros(total, int)
     taken = np.zeros(total, int)

@@ -86,10 +86,3 @@ __kernel void back_traced(__global const float *restrict sinogram, __global cons
 }
 #endif
 
-#ifdef COMPILE_clear_volume
-FIELD_KERNEL clear_volume(__global float *restrict volume, int n_x, int n_y, int n_z) {
-    if (ITEM_MAJOR >= n_x) return;
-    volume += slab_offset(n_x, n_y);
-    EACH_MINOR(y, n_y) EACH_VECTOR STORE(volume + SAMPLE(ITEM_MAJOR, y, n_y), (Vector)(0.0f));
-}
-#endif

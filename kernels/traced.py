@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from vamgpu.kernels.medium import BLOCKS, DARK, MARGIN, Directions, Medium, Starts, march
-from vamgpu.kernels.signature import Field, Integer, Real, Table, Tiling, Volume, VolumeInOut, VolumeOut, kernel
+from vamgpu.kernels.pointwise import pointwise
+from vamgpu.kernels.signature import Field, Integer, Real, Table, Volume, VolumeInOut, VolumeOut, kernel
 
 Steps = Annotated[np.ndarray, Table("int32", ("angle", "pixel"))]
 Rows = Annotated[np.ndarray, Field(("angle", "r", "row"))]
@@ -48,7 +49,7 @@ def back_traced(
             np.add.at(volume, tuple(cell.T), weight * share * light[ray])
 
 
-@kernel(over="volume", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
+@pointwise(over="volume")
 def clear_volume(volume: VolumeOut) -> None:
     """volume = 0."""
     volume[...] = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from vamgpu.kernels.medium_warp import BLOCKS, DARK, MARGIN, Samples, advance, at_node, enter
-from vamgpu.kernels.wide_warp import Flat, Vectors
+from vamgpu.kernels.wide_warp import Flat
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -118,9 +118,3 @@ def back_traced(
                 share = share_of(medium, at, n_x, n_y, n_z, ray.middle, kind)
                 if share * ray.weight > 0.0:
                     add(volume, at[2] // wide, (at[0] * n_y + at[1]) * wide + at[2] % wide, share * ray.weight * light)
-
-
-@wp.kernel
-def clear_volume(volume: Vectors, n_x: int, n_y: int, n_z: int) -> None:
-    slab, x, y, lane = wp.tid()
-    volume[slab, x, y, lane] = wp.vec4(0.0, 0.0, 0.0, 0.0)

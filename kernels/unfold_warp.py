@@ -34,7 +34,7 @@ def slid(
     source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int,
     s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
 ):  # fmt: skip
-    """The sums and a band's contribution: four weights at a time; every sample is read once for all of them."""
+    """Add a band's contribution to the sums, four weights at a time; each sample is read once for all sums."""
     here = int(at)
     for c in range(chunk, chunk + (count + 3) // 4):
         w0 = weights[c, 0]

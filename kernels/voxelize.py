@@ -56,7 +56,7 @@ def sample_points(bits: int) -> np.ndarray:
 def count_crossings(
     triangles: Triangles, members: Members, first: Bounds, last: Bounds, tile: Integer, bits: Integer, counts: Counts,
 ) -> None:  # fmt: skip
-    """counts[x, y] = crossings of the column's rays with the triangles, which are those of `voxelize`."""
+    """counts[x, y] = number of crossings of the column's rays with the triangles of `voxelize`."""
     counts[...] = 0
     for point in sample_points(int(bits)):
         x, y, _, _ = crossings(triangles.astype(np.int64), point, 1 << int(bits), counts.shape)

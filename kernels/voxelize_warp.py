@@ -50,7 +50,7 @@ def sort(code: wp.array1d[int], begin: int, n: int):
 def walk(
     code: wp.array1d[int], begin: int, n: int, x: int, y: int, bits: int, volume: Vectors, n_z: int,
 ):  # fmt: skip
-    """The lowest and highest voxel that change where every ray of a column enters and leaves by its winding number."""
+    """Mark where the rays of a column enter and leave, by winding number; returns the range of changed voxels."""
     low = int(n_z)
     high = int(0)
     weight = 1.0 / float(SAMPLES << bits)

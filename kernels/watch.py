@@ -6,11 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.loss import look_up
-from vamgpu.kernels.reduce import CPU
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Table, Tiling, kernel
+from vamgpu.kernels.pointwise import CPU, look_up, pointwise
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Table, kernel
 
-GPU = Tiling(major=1, minor=1)
 Places = Annotated[np.ndarray, Table("int32", ("pick", "3"))]
 Picked = Annotated[np.ndarray, Table("float32", ("pick",), writes=True)]
 Knots = Annotated[np.ndarray, Table("float32", ("knot",))]
@@ -25,26 +23,26 @@ def pick_voxels(field: Array, places: Places, picked: Picked) -> None:
     picked[...] = field[places[:, 0], places[:, 1], places[:, 2]]
 
 
-@kernel(over="out", cpu=CPU, gpu=GPU)
+@kernel(over="out", cpu=CPU)
 def interpolate(x: Array, knots: Knots, values: Knots, out: ArrayOut) -> None:
     """Out = values at x, linear between ascending knots, and constant beyond them; out may be x."""
     out[...] = np.interp(x, knots, values)
 
 
-@kernel(over="gain", cpu=CPU, gpu=GPU)
+@pointwise(over="gain")
 def tilted_gain(up: Slices, aside: Columns, level: Real, along: Real, across: Real, gain: ArrayOut) -> None:
     """gain = level·(1 + along·up + across·aside)."""
     gain[...] = level * (1.0 + along * up + across * aside[:, :, None])
 
 
-@kernel(over="gain", cpu=CPU, gpu=GPU)
+@pointwise(over="gain")
 def match_dose(dose: Array, got: Array, least: Real, most: Real, gain: ArrayInOut) -> None:
     """gain ·= dose / got within 1/most … most, where both are more than ``least``."""
     known = np.minimum(dose, got) > least
     gain *= np.where(known, np.clip(dose / np.where(known, got, 1.0), 1.0 / most, most), 1.0)
 
 
-@kernel(over="weight", cpu=CPU, gpu=GPU)
+@pointwise(over="weight")
 def spare_voxels(
     dose: Array, target: Array, deviation: Array, share: Real, margin: Real, inside: Real, greatest: Real,
     weight: ArrayOut,
@@ -57,7 +55,7 @@ def spare_voxels(
     weight[...] = np.where(np.where(target >= 0.5, sure > greatest, sure >= inside), 0.0, 1.0)
 
 
-@kernel(over="weight", cpu=CPU, gpu=GPU)
+@pointwise(over="weight")
 def likelihood_weights(
     dose: Array, seen: Array, deviation: Array, judged: Columns, samples: Samples, start: Real, density: Real,
     weight: ArrayOut, pull: ArrayOut,
@@ -70,12 +68,13 @@ def likelihood_weights(
     made, rise = look_up(dose, samples, start, density)
     known = (deviation > 0.0) & (judged[:, :, None] > 0.0)
     slope = rise * density * dose
-    rate = np.where(known, slope, 0.0) / np.where(known, deviation, 1.0) ** 2
+    over = np.where(known, deviation, 1.0)
+    rate = np.where(known, slope / (over * over), 0.0)
     weight[...] = rate * slope
     pull[...] = rate * (seen - made)
 
 
-@kernel(over="dose", cpu=CPU, gpu=GPU)
+@pointwise(over="dose")
 def share_gain(
     pull: Array, weight: Array, least: Real, shared: Real, strength: Real, dose: ArrayInOut, deviation: ArrayOut
 ) -> None:  # fmt: skip
@@ -84,11 +83,11 @@ def share_gain(
     dose *= 1.0 + pull / (weight + least)
 
 
-@kernel(over="variance", cpu=CPU, gpu=GPU)
+@kernel(over="variance", cpu=CPU)
 def conversion_deviation(
     extinction: Array, sharp: Array, rounded: Array, knots: Knots, slopes: Knots, model: Real, variance: ArrayInOut
 ) -> None:
-    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), the deviation of conversion from extinction's.
+    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), the standard deviation of conversion.
 
     slope is that of the last knot at or below the extinction, or of the first knot if there is none.
     """

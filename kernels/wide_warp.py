@@ -75,3 +75,9 @@ def slice_of(field: Vectors, major: int, minor: int, z: int):
     lanes = 4 * field.shape[3]
     vector = field[z // lanes, major, minor, (z % lanes) // 4]
     return vector[z % 4]
+
+
+@wp.func
+def real_lanes(slab: int, lane: int, n_lane: int, n_z: int):
+    """The number of a thread's four lanes that are slices of the field."""
+    return wp.clamp(n_z - 4 * (slab * n_lane + lane), 0, 4)
