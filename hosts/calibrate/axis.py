@@ -33,12 +33,7 @@ def axis(
     lit = (patterns.line(screen.shape, int(column)) for column in columns)
     dark, read = over_patterns(machines, projector, lit, columns.size, machines.read, repeats, progress, darks=DARK)
     found = find_axis(read.mean(axis=1), columns, radius=radius)
-    return _found(found, found.shift(screen.shape[1], flip_r=flip_r), columns, read, dark)
-
-
-def _found(
-    found: RollerAxis, shift: float, columns: np.ndarray, read: np.ndarray, dark: np.ndarray
-) -> CalibrationResult:
+    shift = found.shift(screen.shape[1], flip_r=flip_r)
     numbers = {
         "column": found.column, "error_columns": found.error, "radius_columns": found.radius, "shift_columns": shift,
         "edges": [edge.column for edge in found.edges], "edge_errors": [edge.error for edge in found.edges],

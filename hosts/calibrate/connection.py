@@ -9,7 +9,7 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate.machines import CalibrationMachines, SteppedTurntable, need
 from vamgpu.hosts.calibrate.patterns import PatternScreen, VideoScreen
 from vamgpu.hosts.calibrate.truth import USUAL
-from vamgpu.hosts.calibrate.turn import TurnMachines
+from vamgpu.hosts.drivers.camera import CameraDriver
 from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
@@ -69,19 +69,25 @@ def _view(rig: RigFile) -> dict[str, Any]:
     return turned if rig.camera.crop is None else turned | {"view": rig.camera.view}
 
 
-RATIO = 1.009  # degrees of an emulated vial in one that its stage reports
+RATIO = 1.009  # degrees of an emulated vial per degree that its stage reports
 
 
-def opened_turn(config: RigConfig, ratio: float = RATIO) -> tuple[TurnMachines, float | None]:
+def opened_turn(config: RigConfig, ratio: float = RATIO) -> tuple[CalibrationMachines, float | None]:
     """Open a rig's motion and camera, without light and mirrors; and the truth if they are emulated."""
     rig, camera = config.setup, need(config.setup.camera, "camera")
     if rig.emulated:
-        return TurnMachines(rig, *marked_vial(ratio)), ratio
+        return turning(rig, *marked_vial(ratio)), ratio
     if driver_of(rig.motion) == "controller":
         raise BadInput("the controller's motor uses index or encoder instead; expected another driver in [motion]")
     stage = rig.motion.open("deg")
     with closed_on_error(stage):
-        return TurnMachines(rig, RealClock(), stage, camera.open()), None
+        return turning(rig, RealClock(), stage, camera.open()), None
+
+
+def turning(rig: RigFile, clock: Clock, stage: Stage, camera: CameraDriver) -> CalibrationMachines:
+    """The motion of a rig, and its camera, which are closed together."""
+    closers = [camera.close, stage.close]
+    return CalibrationMachines(rig, clock, None, (), camera=camera, stage=stage, closers=closers)
 
 
 def _assembled(

@@ -39,10 +39,6 @@ def flat(
         read = read.reshape(*blocks, repeats)
         found.append(fit_flat(read, dark, screen.shape))
         readings |= {f"dark_{projector}": dark, f"readings_{projector}": read, f"flat_{projector}": found[-1].field}
-    return _found(found, readings)
-
-
-def _found(found: list[FlatReading], readings: dict[str, np.ndarray]) -> CalibrationResult:
     numbers = {
         "dimmest": [each.dimmest for each in found], "error": [each.error for each in found],
         "left": [each.left for each in found], "noise": [each.noise for each in found],

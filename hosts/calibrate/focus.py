@@ -19,7 +19,7 @@ TABLES = ("lens", "camera", "camera_stage")  # tables of a rig's file that it ne
 def steps(reach: float, step: float) -> tuple[float, ...]:
     """Positions [mm] from −reach to reach, ``step`` apart."""
     if not (step > 0 and reach >= step):
-        raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; expected a step > 0, and two or more")
+        raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; expected 2 steps or more, each > 0")
     count = int(reach / step + 1e-9)
     return tuple(round(step * number, 9) for number in range(-count, count + 1))
 
@@ -50,10 +50,7 @@ def focus(
     pattern = patterns.grating(machines.screen(projector).shape, half_period)
     peaks, *rows = zip(*over_positions(machines, projector, positions, pattern, swept, progress), strict=True)
     names = ("positions", "powers", "sharpness", "images")
-    return _found(list(peaks), {name: np.array(part) for name, part in zip(names, rows, strict=True)})
-
-
-def _found(peaks: list[Peak], readings: dict[str, np.ndarray]) -> CalibrationResult:
+    readings = {name: np.array(part) for name, part in zip(names, rows, strict=True)}
     line = focus_line(readings["positions"], peaks)
     center = float(line.power(0.0))
     numbers = {

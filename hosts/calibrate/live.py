@@ -15,9 +15,9 @@ from vamgpu.hosts.calibrate.runout import single_lines
 from vamgpu.live.turbidity import MeasuredTurbidity
 
 TABLES = ("camera",)  # tables of a rig's file that it needs
-SHARES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # exposure times, of that in the rig's file
+SHARES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # exposure times, relative to that in the rig's file
 PLACE = ("rows", "columns", "matrix", "origin", "place_error_pixels")  # numbers of the camera's place
-SURE = 10.0  # standard errors by which levels must rise with the exposure time
+SURE = 10.0  # least rise of levels with the exposure time [standard errors]
 LEVELS = 12  # greatest number of groups of pixels of similar level, of each exposure
 LEAST = 0.25  # least noise of the open field [gray levels]; below it, images repeat bit for bit
 WAVES = np.arange(1, 9)  # terms of the series of rounding
@@ -75,7 +75,7 @@ def _found(
     (rate, dark), spread = np.polyfit(times, levels, 1, cov=True)
     if not rate > SURE * np.sqrt(spread[0, 0]):
         raise BadInput(f"levels are {levels.min():.4g} to {levels.max():.4g} at all exposure times; expected levels in "
-                       "proportion to them: switch on the camera's own light, and its automatics off")  # fmt: skip
+                       "proportion to them: turn its own light on, and its automatic settings off")  # fmt: skip
     dark, dark_error = max(float(dark), 0.0), float(np.sqrt(spread[1, 1]))
     level, variance = _by_level(stacks)
     read, gain, read_error, gain_error = _noise(level - dark, variance)
@@ -130,7 +130,7 @@ def _noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float, float
     most = float(np.sqrt(variance[np.argmax(level)]))
     if most < LEAST:
         raise BadInput(f"the noise of the open field is {most:.2g} gray levels; expected {LEAST:g} or more, because "
-                       "images else repeat: set more bits (with format) or more gain in [[feedback]]")  # fmt: skip
+            f"otherwise images repeat: set more bits (with format) or more gain in [[feedback]]")  # fmt: skip
     near = 1.0 / np.maximum(variance, LEAST**2)
     (gain, floor), spread = np.polyfit(level, variance, 1, w=near, cov=True)
     gain_error, error = np.sqrt(np.diag(spread))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from math import ceil
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -30,14 +30,6 @@ POLL = 5_000_000  # time between two queries to the turntable [ns]
 PATIENCE = 30.0  # time for it to change its speed [s]
 STEPS = 8  # signs of life per lease
 ARRIVED = 0.005  # allowed position error of the camera's stage [mm]
-
-
-class Turning(Protocol):
-    """A turntable that moves to angles [deg]; stages also do."""
-
-    def move(self, position: float, speed: float) -> None: ...  # start moving
-    def wait(self) -> None: ...  # return when it is at rest
-    def position(self) -> float: ...  # its angle
 
 
 class SteppedTurntable:
@@ -74,7 +66,7 @@ class SteppedTurntable:
 
 @dataclass
 class CalibrationMachines:
-    """Opened machines of a calibration, with the screen of each projector, whose light has its number as channel.
+    """Opened machines of a calibration, with a screen for each projector; its number is the channel of its light.
 
     controller: gates the light; None without one.  lamp: lamp that the host switches; None if dark screens do.
     """
@@ -87,7 +79,7 @@ class CalibrationMachines:
     camera: CameraDriver | None = None
     stage: Stage | None = None
     meter: PowerMeter | None = None
-    turntable: Turning | None = None
+    turntable: SteppedTurntable | Stage | None = None
     lamp: Lamp | None = None
     closers: list[Callable[[], None]] = field(default_factory=list)
 
@@ -98,7 +90,7 @@ class CalibrationMachines:
         return self.screens[projector]
 
     def move(self, position: float) -> float:
-        """Move the camera to a position [mm] from the middle, in the dark; the position that it reports."""
+        """Move the camera to a position [mm] from the middle, in the dark; returns the reported position."""
         section, stage = need(self.rig.camera_stage, "camera_stage"), need(self.stage, "camera_stage")
         stage.move(section.middle + position, section.speed)
         stage.wait()
@@ -108,14 +100,14 @@ class CalibrationMachines:
         return found
 
     def turn(self, angle: float, speed: float) -> float:
-        """Turn forwards to an angle [deg] or past it, in the dark; the angle that it reports."""
+        """Turn forwards to an angle [deg] or past it, in the dark; returns the reported angle."""
         table = need(self.turntable, "motion")
         table.move(angle, speed)
         table.wait()
         return table.position()
 
     def focus(self, power: float, light: CalibrationLight) -> float:
-        """Set the lens's power [dpt] and wait for it; its actual power, a whole number of its steps."""
+        """Set the lens's power [dpt] and wait for it; returns the actual power, a whole number of steps of the lens."""
         section, lens = need(self.rig.lens, "lens"), need(self.lens, "lens")
         if not section.lowest <= power <= section.highest:
             raise BadInput(
@@ -185,12 +177,11 @@ def need(part: T | None, table: str) -> T:
 class CalibrationLight:
     """The light of one projector, off while a stage moves; waiting renews its lease."""
 
-    clock: Clock
-    controller: Controller | None
-
     def __init__(self, machines: CalibrationMachines, projector: int = 0) -> None:
         safety = machines.rig.safety
-        self.clock, self.controller, self._power = machines.clock, machines.controller, machines.rig.light.power
+        self.clock: Clock = machines.clock
+        self.controller: Controller | None = machines.controller
+        self._power = machines.rig.light.power
         lamp, renew = gate(machines.controller, machines.lamp, (projector,))
         self.lease: Lease = Lease(machines.clock, renew, round(safety.lease * 1e9))
         others = {"mirrors": machines.screen(projector)}
@@ -229,11 +220,11 @@ class CalibrationLight:
             self.alive()
 
     def alive(self) -> None:
-        """Renew the lease. Raises `InterlockOpen` if the controller has closed the light."""
+        """Renew the lease. Raises `InterlockOpen` if the controller has switched the light off."""
         if self.guard.lit and self.controller is not None:
             status = self.controller.status()
             if status.state == "fault":
-                self.guard.observe(fault=f"the controller closed the light: {status.fault}")
+                self.guard.observe(fault=f"the controller switched the light off: {status.fault}")
         self.lease.beat()
         self.guard.check()
         self.lease.keep()

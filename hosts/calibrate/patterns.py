@@ -17,7 +17,7 @@ SURE = 2  # video frames beyond a projector's delay for which a pattern is sent 
 
 
 def grating(shape: Shape, half_period: int = 10) -> np.ndarray:
-    """A Ronchi grating: ``half_period`` columns on and off by turns."""
+    """A Ronchi grating: ``half_period`` columns on, then as many off."""
     wide = counts("half period [columns]", (half_period,), 1)[0]
     if not 2 * wide <= shape[1]:
         raise BadInput(f"half a period of {wide} columns; expected at most half of the mirrors' {shape[1]}")

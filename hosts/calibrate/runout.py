@@ -30,7 +30,7 @@ def runout(
     with CalibrationLight(machines, projector) as light:
         machines.move(0.0)
         light.on()
-        place = _map(machines, light, projector)
+        place = CameraMap.of(*single_lines(machines, light, projector))  # without the lines that the pin hides
         angles, images = np.empty(poses), []
         start = need(machines.turntable, "motion").position()
         for number in range(poses):
@@ -51,11 +51,6 @@ def runout(
     columns, slopes = np.array(found).T
     readings = {"angles": angles, "columns": columns, "slopes": slopes, "images": np.stack(images)}
     return _found(fit_runout(np.radians(angles), columns, slopes, place), readings, screen.shape, projector)
-
-
-def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int) -> CameraMap:
-    """Positions of mirrors in the camera's images, without the lines that the pin hides."""
-    return CameraMap.of(*single_lines(machines, light, projector))
 
 
 def single_lines(

@@ -64,11 +64,8 @@ def _turn(found: CalibrationResult, optics: Any, machines: CalibrationMachines) 
 
 
 def _mtf(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
-    frequency, places, pixel = (
-        np.linspace(0.0, HIGHEST, 20001),
-        found.numbers["positions_mm"],
-        found.numbers["pixel_mm"],
-    )
+    frequency = np.linspace(0.0, HIGHEST, 20001)
+    places, pixel = found.numbers["positions_mm"], found.numbers["pixel_mm"]
     powers = found.numbers["powers_dpt"] or [0.0] * len(places)
     half = [
         float(frequency[np.argmax(optics.modulation(frequency, place, power, pixel) < 0.5)])

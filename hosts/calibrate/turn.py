@@ -1,53 +1,34 @@
-"""How far the vial turns for each degree that its motion reports: a camera watches a mark on it for some turns."""
+"""Degrees of the vial per degree that its motion reports: a camera watches a mark on the vial for some turns."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.calibrate.machines import Progress, need, silent
+from vamgpu.hosts.calibrate.machines import CalibrationMachines, Progress, need, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
-from vamgpu.hosts.drivers.camera import CameraDriver
-from vamgpu.hosts.drivers.cleanup import close_all
-from vamgpu.hosts.drivers.stages import Stage
-from vamgpu.hosts.rigs.config import RigFile
-from vamgpu.hosts.schedules.clock import Clock
 
 WAVES = 20  # waves per turn of the mark's light
 COARSE = 16  # blocks of an image along each side
 VARIED = 4  # components of the images that are kept
-APART = 0.2  # greatest difference of a turn that is looked for, relative to it
+APART = 0.2  # greatest relative error of a turn that is searched for
 LEAST = 0.5  # share of the images' change that a mark must explain
 RUN_UP = 3.0  # time before the first image [s]
 IMAGES = 60  # images per turn
 OFTEN = 200_000_000  # longest time between two queries of the motion [ns]
 
 
-@dataclass
-class TurnMachines:
-    """The motion and the camera of a rig."""
-
-    rig: RigFile
-    clock: Clock
-    stage: Stage
-    camera: CameraDriver
-
-    def close(self) -> None:
-        """Release both."""
-        close_all([self.camera.close, self.stage.close])
-
-
 def turn(
-    machines: TurnMachines, *, speed: float = 40.0, turns: int = 10, progress: Progress = silent
+    machines: CalibrationMachines, *, speed: float = 40.0, turns: int = 10, progress: Progress = silent
 ) -> CalibrationResult:
     """Measure the turn of the vial in degrees that its motion reports."""
     if turns < 3 or not speed > 0:
         raise BadInput(f"{turns} turns at {speed:g} deg/s; expected 3 turns or more, and a speed above 0")
-    clock, stage, times, places, images = machines.clock, machines.stage, [], [], []
-    machines.camera.expose(1e6 * need(machines.rig.camera, "camera").exposure)
+    clock, stage, times, places, images = machines.clock, need(machines.stage, "motion"), [], [], []
+    camera = need(machines.camera, "camera")
+    camera.expose(1e6 * need(machines.rig.camera, "camera").exposure)
     stage.run(speed)
     try:
         begin, apart = clock.now() + round(RUN_UP * 1e9), 360.0 / IMAGES / speed * 1e9
@@ -55,8 +36,8 @@ def turn(
             due = begin + round(len(places) * apart)
             while (now := clock.now()) < due:
                 clock.sleep_until(min(due, now + OFTEN))
-                stage.position()  # some motions stop if nobody asks
-            images.append(_blocks(machines.camera.grab()))
+                stage.position()  # some motions stop if they are not queried
+            images.append(_blocks(camera.grab()))
             times.append(clock.now() * 1e-9)
             places.append(stage.position())
             progress(min((places[-1] - places[0]) / (360.0 * turns), 1.0))
@@ -105,7 +86,7 @@ def _found(times: np.ndarray, places: np.ndarray, images: np.ndarray, microsteps
     rpm = float(np.polyfit(times - times.mean(), places, 1)[0]) * ratio / 6.0
     numbers = {"ratio": ratio, "error": error, "rpm": rpm, "microsteps": microsteps / ratio, "explained": explained}
     lines = (
-        ("a degree that is reported", f"{ratio:.6f} ± {error:.1g} deg of the vial"),
+        ("per reported degree", f"{ratio:.6f} ± {error:.1g} deg of the vial"),
         ("speed", f"{rpm:.4f} rpm, {6.0 * rpm:.4f} deg/s"),
         ("the mark explains", f"{100 * explained:.1f} % of the images' change"),
     )

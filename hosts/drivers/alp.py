@@ -57,7 +57,7 @@ class Progress(Structure):
 
 
 class SynchGate(Structure):
-    """A gated synch output: frames of a period (0: it is not driven), active level, and which of them it pulses for."""
+    """A gated synch output: frames per period (0: not driven), active level, and the frames with a pulse."""
 
     _pack_ = 1
     _fields_ = [("period", c_uint8), ("high", c_uint8), ("frames", c_uint8 * 16)]

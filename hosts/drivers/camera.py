@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, DeviceRefused
-from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error, extra
-
-log: logging.Logger = logging.getLogger(__name__)
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
 
 
 @runtime_checkable
@@ -31,9 +28,10 @@ class Buffered(Protocol):
     def flush(self) -> None: ...  # drop these; the next image begins after now
 
 
-class GenicamCamera(Closing):
+class GenicamCamera(ClosedOnce):
     """A camera behind a maker's GenTL producer (a ``.cti`` file), driven by the harvesters package."""
 
+    called = "the camera"
     exposure_us: float | None = None  # as read back from the camera
     gain: float | None = None
 
@@ -79,10 +77,11 @@ class GenicamCamera(Closing):
                 f"the camera does not take {value!r} for its {name} ({error}); check its maker's viewer", name
             ) from error
 
-    def _choose(self, name: str, value: str) -> None:
+    def _choose(self, name: str, value: str | int) -> None:
         found = self._set(name, value)
         if found != value:
-            raise DeviceRefused(f"the camera's {name} is {found!r} after {value!r} was set; give another value", name)
+            raise DeviceRefused(f"the camera's {name} is {found!r} after {value!r} was set; give a value that its "
+                                "maker's viewer accepts", name)  # fmt: skip
 
     def _number(self, name: str, value: float) -> float:
         """Set a number; cameras round it to their own steps, DeviceRefused beyond 2 %."""
@@ -97,20 +96,13 @@ class GenicamCamera(Closing):
 
     def _frame(self, binning: int, crop: Sequence[int] | None) -> None:
         """Set binning and crop: offsets are 0 while the size is set, which cameras limit by them."""
-        wanted = {} if binning == 1 else {"BinningHorizontal": binning, "BinningVertical": binning}
+        wanted = [] if binning == 1 else [("BinningHorizontal", binning), ("BinningVertical", binning)]
         if crop is not None:
             left, top, columns, rows = crop
-            wanted |= {"OffsetX": 0, "OffsetY": 0, "Width": columns, "Height": rows}
-            self._wholes(wanted)
-            wanted = {"OffsetX": left, "OffsetY": top}
-        self._wholes(wanted)
-
-    def _wholes(self, wanted: Mapping[str, int]) -> None:
-        for name, value in wanted.items():
-            found = self._set(name, value)
-            if found != value:
-                raise DeviceRefused(f"the camera's {name} is {found!r} after {value} was set; give a multiple that its "
-                                    "maker's viewer accepts", name)  # fmt: skip
+            wanted += [("OffsetX", 0), ("OffsetY", 0), ("Width", columns), ("Height", rows)]
+            wanted += [("OffsetX", left), ("OffsetY", top)]
+        for name, value in wanted:
+            self._choose(name, value)
 
     def _settle(self, exposure_us: float | None, gain: float | None, pixels: str | None, trigger: str | None) -> None:
         """Apply the settings in the order that cameras accept: automatics are off before values are set."""
@@ -149,12 +141,6 @@ class GenicamCamera(Closing):
         except Exception as error:
             raise DeviceLost(f"the camera does not start again ({error}); check its cable") from error
 
-    def close(self) -> None:
-        acquirer, self._acquirer = self._acquirer, None
-        harvester, self._harvester = self._harvester, None
-        for part, name in ((acquirer, "stop"), (acquirer, "destroy"), (harvester, "reset")):
-            if part is not None:
-                try:
-                    getattr(part, name)()
-                except Exception as error:  # a lost camera must not keep the rest from closing
-                    log.warning("closing the camera: %s", error)
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        acquirer = () if self._acquirer is None else (self._acquirer.stop, self._acquirer.destroy)
+        return *acquirer, self._harvester.reset

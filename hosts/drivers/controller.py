@@ -37,7 +37,7 @@ REASONS = {
 
 @dataclass(frozen=True)
 class Encoder:
-    """An encoder that measures the motion; beyond its tolerance the controller closes the light."""
+    """An encoder that measures the motion; beyond its tolerance the controller switches the light off."""
 
     counts: float  # quadrature edges per mm or degree, negative if it counts down
     tolerance: float  # allowed difference from the motor's steps [mm] or [deg]
@@ -49,7 +49,7 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Index:
-    """A mark that recurs; if it is off position, the controller closes the light."""
+    """A mark that recurs; if it is off position, the controller switches the light off."""
 
     distance: float  # distance from mark to mark [mm] or [deg]
     tolerance: float  # allowed position error [mm] or [deg]
@@ -68,9 +68,6 @@ def _in_range(ratio: Fraction) -> Fraction:
 
 class Controller(Closing):
     """The controller: it answers every command; a command is repeated if its answer is lost or malformed."""
-
-    capacity: int
-    channels: int
 
     def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
         if not microsteps_per_mm > 0:
@@ -103,7 +100,8 @@ class Controller(Closing):
                 f"{self._wire.name} is {name} version {version}; expected {protocol.NAME} version {protocol.VERSION}, "
                 "which measures the position: load the sketch of this library (hosts/firmware)"
             )
-        self.capacity, self.channels = capacity, channels
+        self.capacity: int = capacity
+        self.channels: int = channels
 
     def revive(self) -> None:
         """Open the port again if the controller does not answer, as after it was unplugged."""
@@ -274,5 +272,5 @@ class Controller(Closing):
         return self.status().position / self.microsteps_per_mm
 
     def close(self) -> None:
-        """Release the port; the lease runs out and closes the light if it was on."""
+        """Release the port; the lease then runs out and switches the light off."""
         self._wire.close()

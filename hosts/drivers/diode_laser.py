@@ -59,7 +59,7 @@ class DiodeLaser(ClosedOnce):
         return cls(open_wire(port, "the laser", baud), kind, watts)
 
     def _tell(self, text: str, pattern: str | None = None) -> str:
-        """Send a command or query; its answer."""
+        """Send a command or query, and return the answer."""
         return self._wire.exchange(f"{text}\r", pattern or self._says.accepted, self._says.refused).string
 
     def on(self, power: float = 1.0) -> None:

@@ -129,7 +129,7 @@ class Dmd(ClosedOnce):
         self.call("AlpDevHalt")
 
     def off(self) -> None:
-        """Deflect the light, as a switch of it."""
+        """Turn the mirrors dark, as a switch of the light."""
         self.halt()
 
     def endings(self) -> tuple[Callable[[], object], ...]:
@@ -144,14 +144,12 @@ class Dmd(ClosedOnce):
 class PlaneSequence:
     """Frames in the device's memory, as packed planes, the most significant first."""
 
-    dmd: Dmd
-    count: int
-    bits: int
-
     def __init__(self, dmd: Dmd, count: int, bits: int, timing: SlotTiming) -> None:
         if not 1 <= bits <= 8 or count < 1:
             raise BadInput(f"a sequence of {count} frames of {bits} bits is impossible; give 1..8 bits and 1 or more")
-        self.dmd, self.count, self.bits = dmd, count, bits
+        self.dmd = dmd
+        self.count = count
+        self.bits = bits
         self.id: int = dmd.number("AlpSeqAlloc", bits, count)
         self._control(alp.DATA_FORMAT, alp.DATA_BINARY_TOPDOWN)
         if bits == 1 and not timing.illuminate_us:

@@ -8,9 +8,9 @@ from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound, DeviceRefused
 from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
+from vamgpu.hosts.drivers.lens import Lens
 
 log: logging.Logger = logging.getLogger(__name__)
-SAME = 0.01  # greatest difference of a power from the one set [1/m]
 
 
 def _number(found: Any) -> float:
@@ -18,15 +18,13 @@ def _number(found: Any) -> float:
     return float(found[0] if isinstance(found, Sequence) and not isinstance(found, str) else found)
 
 
-class IccLens(Closing):
+class IccLens(Closing, Lens):
     """A lens on one channel, in focal power mode; ``least`` and ``greatest`` are its powers [1/m]."""
 
-    least: float
-    greatest: float
+    same: float = 0.01
 
     def __init__(self, connect: Callable[[], Any], channel: int = 0) -> None:
         self._connect, self._number = connect, channel
-        self._set: float | None = None
         self._start()
         log.info("ICC: lens of %.3g to %.3g dpt on channel %d", self.least, self.greatest, channel)
 
@@ -41,8 +39,8 @@ class IccLens(Closing):
             self._channel = self._call(lambda: self._board.channel[self._number], "the channel")
             self._call(self._channel.StaticInput.SetAsInput, "the choice of its input")
             limits = self._channel.LensCompensation
-            self.least = _number(self._call(limits.GetMinDiopter, "the least power"))
-            self.greatest = _number(self._call(limits.GetMaxDiopter, "the greatest power"))
+            self.least: float = _number(self._call(limits.GetMinDiopter, "the least power"))
+            self.greatest: float = _number(self._call(limits.GetMaxDiopter, "the greatest power"))
 
     @classmethod
     def open(cls, port: str, channel: int = 0) -> Self:
@@ -90,14 +88,6 @@ class IccLens(Closing):
 
     def status(self) -> tuple[str, ...]:
         return ("lens or sensor missing",) if self._missing() else ()
-
-    def inspect(self) -> float:
-        if said := self.status():
-            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
-        power = self.power()
-        if self._set is not None and abs(power - self._set) > SAME:
-            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {self._set:.3f}: set it again")
-        return power
 
     def revive(self) -> None:
         """Connect again, and choose its input and its last power."""

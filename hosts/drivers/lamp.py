@@ -15,14 +15,14 @@ LINES = ("rts", "dtr")
 class TtlLamp(ClosedOnce):
     """A laser's TTL input on a serial port's RTS or DTR, off while low; invert the line if low is on."""
 
-    name: str
     called = "the lamp"
 
     def __init__(self, port: Any, name: str = "the lamp", line: str = "rts") -> None:
         if line not in LINES:
             port.close()
             raise BadInput(f"a serial port has no output {line!r}; give one of {', '.join(LINES)}")
-        self._port, self.name, self._line = port, name, line
+        self.name = name
+        self._port, self._line = port, line
         with closed_on_error(port):
             self._set(False)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers import optotune_protocol as ld4
@@ -15,30 +15,39 @@ WINDOW = (20.0, 45.0)  # temperatures [degC] in which the lens keeps its focal p
 
 
 class Lens(Protocol):
-    """A tunable lens that the host sets."""
+    """A tunable lens that the host sets. same: greatest difference of its power from the one set [1/m]."""
+
+    same: ClassVar[float]
+    _set: float | None = None
 
     # set the focal power [1/m]; returns before the lens has settled
     def set_power(self, diopters: float) -> None: ...
     def power(self) -> float: ...  # the focal power set [1/m]
     def temperature(self) -> float: ...  # of the lens [degC]; DeviceRefused without a sensor
     def status(self) -> tuple[str, ...]: ...  # faults
-    def inspect(self) -> float: ...  # the power set [1/m]; raises `DeviceError` for a fault
     def revive(self) -> None: ...  # start again after it lost its power, at its last focal power
     def close(self) -> None: ...  # release it
 
+    def inspect(self) -> float:
+        """The power set [1/m]. Raises `DeviceError` for a fault, or another power than the one set last."""
+        if said := self.status():
+            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
+        power = self.power()
+        if self._set is not None and abs(power - self._set) > self.same:
+            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {self._set:.3f}: set it again")
+        return power
 
-class LensDriver(Closing):
+
+class LensDriver(Closing, Lens):
     """A lens driver: one handshake, then settings without answers; no schedule waits for it."""
+
+    same: float = ld4.STEP_DIOPTERS
 
     def __init__(self, wire: Wire, firmware: str | None = None) -> None:
         self._wire = wire
         self._power_mode = False
         self._window = WINDOW
-        self._set: float | None = None
         self._expected = firmware
-        self.firmware: str = ""
-        self.version: str = ""
-        self.full_current_ma: float = 0.0
         with closed_on_error(wire):
             self._start(firmware)
 
@@ -59,12 +68,12 @@ class LensDriver(Closing):
         for _ in range(4):
             if not self._wire.receive(64):
                 break
-        self.firmware = self.ask(ld4.FIRMWARE_TYPE).decode("ascii", "replace")
+        self.firmware: str = self.ask(ld4.FIRMWARE_TYPE).decode("ascii", "replace")
         if expected is not None and self.firmware != expected:
             raise WrongDevice(f"{self._wire.name} has firmware type {self.firmware}; expected {expected}")
         numbers = self.ask(ld4.VERSION)
-        self.version = f"{numbers[0]}.{numbers[1]}.{int.from_bytes(numbers[2:4])}.{int.from_bytes(numbers[4:6])}"
-        self.full_current_ma = int.from_bytes(self.ask(ld4.GET_FULL_CURRENT), "big") / 100
+        self.version: str = f"{numbers[0]}.{numbers[1]}.{int.from_bytes(numbers[2:4])}.{int.from_bytes(numbers[4:6])}"
+        self.full_current_ma: float = int.from_bytes(self.ask(ld4.GET_FULL_CURRENT), "big") / 100
         log.info("lens driver: firmware %s %s, %.2f mA", self.firmware, self.version, self.full_current_ma)
 
     def ask(self, request: ld4.Request) -> bytes:
@@ -124,14 +133,6 @@ class LensDriver(Closing):
         answer = self.ask(ld4.GET_STATUS)
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
-
-    def inspect(self) -> float:
-        if said := self.status():
-            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
-        power = self.power()
-        if self._set is not None and abs(power - self._set) > ld4.STEP_DIOPTERS:
-            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {self._set:.3f}: set it again")
-        return power
 
     def revive(self) -> None:
         """Start the driver again if it does not answer well, as after it lost its power, with its mode and power."""

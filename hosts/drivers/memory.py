@@ -72,16 +72,14 @@ class MirrorMemory:
     # One thread may put while another reads: uploads go in pieces of `PIECE` bytes. `shown` follows the device's own
     # progress; the device counts a frame at its beginning or at its end: compare with triggers in the dark.
 
-    dmd: Dmd
-    length: int
-    bits: int
-
     def __init__(
         self, dmd: Dmd, length: int, bits: int, timing: SlotTiming = SlotTiming(), sequences: int = 2, spares: int = 0
     ) -> None:
         if sequences < 2:
             raise BadInput(f"{sequences} sequences; expected 2 or more, one to show and one to fill")
-        self.dmd, self.length, self.bits = dmd, length, bits
+        self.dmd = dmd
+        self.length = length
+        self.bits = bits
         self._free: deque[_Stored] = deque()
         self._spare: deque[_Stored] = deque()
         for home, count, frames in ((self._free, sequences, length), (self._spare, spares, 1)):
@@ -101,7 +99,7 @@ class MirrorMemory:
             return found is not None and self.dmd.queue_places() > 0
 
     def _idle(self, frames: int) -> _Stored | None:
-        """A sequence with room for the frames, none of whose frames will be shown again."""
+        """A sequence with room for the frames; its own will not be shown again."""
         home = self._spare if frames == 1 and self._spare else self._free
         return next((stored for stored in home if not stored.promised), None)
 

@@ -1,4 +1,4 @@
-"""Stages and cameras of Micro-Manager's device adapters, through the ``pymmcore-plus`` package."""
+"""Cameras of Micro-Manager's device adapters, through the ``pymmcore-plus`` package."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from typing import Any, Self
 import numpy as np
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.cleanup import Closing, extra
-from vamgpu.hosts.drivers.stages import PolledStage
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error, extra
 
 log: logging.Logger = logging.getLogger(__name__)
-UM_IN_MM = 1000.0
 
 
 def open_core(configuration: str | Path) -> Any:
@@ -34,83 +32,25 @@ def open_core(configuration: str | Path) -> Any:
     return core
 
 
-class _Device(Closing):
-    """One device of a core, by its label; ``owned`` unloads the core's devices at the end."""
+class MicroManagerCamera(Closing):
+    """A camera of Micro-Manager, by its label; ``owned`` unloads the core's devices at the end."""
 
-    label: str
-
-    def __init__(self, core: Any, label: str, kind: str, owned: bool) -> None:
-        self._core, self.label, self._owned = core, label, owned
+    def __init__(self, core: Any, label: str, owned: bool = False) -> None:
+        self.label = label
+        self._core, self._owned = core, owned
         labels = list(core.getLoadedDevices())
-        if label not in labels:
-            self.release()
-            raise DeviceNotFound(f"there is no device {label!r} among {', '.join(labels)}; correct its label")
-        if (found := core.getDeviceType(label).name) != kind:
-            self.release()
-            raise WrongDevice(f"the device {label!r} is of the kind {found}, expected {kind}; correct its label")
+        with closed_on_error(self):
+            if label not in labels:
+                raise DeviceNotFound(f"there is no device {label!r} among {', '.join(labels)}; correct its label")
+            if (found := core.getDeviceType(label).name) != "CameraDevice":
+                raise WrongDevice(f"the device {label!r} is of the kind {found}, expected a camera; correct its label")
+            self._call("setCameraDevice", label)
 
     def _call(self, name: str, *arguments: Any, lost: type[DeviceError] = DeviceRefused) -> Any:
         try:
             return getattr(self._core, name)(*arguments)
         except Exception as error:
             raise lost(f"{self.label} failed in {name} ({error}); check its plug, its power and the value") from error
-
-    def release(self) -> None:
-        owned, self._owned = self._owned, False
-        if owned:
-            self._core.unloadAllDevices()
-
-
-class MicroManagerStage(_Device, PolledStage):
-    """A linear stage of one axis; it moves to positions and cannot run at a speed."""
-
-    def __init__(
-        self, core: Any, label: str, speed_property: str | None = None, owned: bool = False, **options: Any
-    ) -> None:
-        _Device.__init__(self, core, label, "StageDevice", owned)
-        PolledStage.__init__(self, self, label, 1.0, "mm", **options)
-        self._speed_property = speed_property
-
-    @classmethod
-    def open(cls, configuration: str | Path, label: str, speed_property: str | None = None) -> Self:
-        """Open the device of a label in a ``.cfg`` file."""
-        return cls(open_core(configuration), label, speed_property, owned=True)
-
-    def position(self) -> float:
-        return self._call("getPosition", self.label, lost=DeviceLost) / UM_IN_MM
-
-    def _move(self, position: float, speed: float) -> None:
-        if self._speed_property is not None:
-            self._call("setProperty", self.label, self._speed_property, speed)
-        self._call("setPosition", self.label, position * UM_IN_MM)
-
-    def run(self, speed: float) -> None:
-        """Stop at speed 0; any other speed is rejected."""
-        if speed != 0:
-            raise DeviceRefused(
-                f"{self.label} cannot run at {speed} mm/s: Micro-Manager only moves to positions; use the driver of "
-                "the stage's maker for motion at a speed",
-                "run",
-            )
-        self.stop()
-
-    def busy(self) -> bool:
-        return self._call("deviceBusy", self.label, lost=DeviceLost)
-
-    def stop(self) -> None:
-        self._call("stop", self.label)
-
-
-class MicroManagerCamera(_Device):
-    """A camera of Micro-Manager."""
-
-    def __init__(self, core: Any, label: str, owned: bool = False) -> None:
-        super().__init__(core, label, "CameraDevice", owned)
-        try:
-            self._call("setCameraDevice", label)
-        except BaseException:
-            self.release()
-            raise
 
     @classmethod
     def open(cls, configuration: str | Path, label: str) -> Self:
@@ -139,4 +79,6 @@ class MicroManagerCamera(_Device):
         return image
 
     def close(self) -> None:
-        self.release()
+        owned, self._owned = self._owned, False
+        if owned:
+            self._core.unloadAllDevices()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, VamError, WrongDevice
-from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error, extra
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,6 @@ def compose(frames: list[np.ndarray], layout: SlotLayout) -> np.ndarray:
     return np.repeat(video_frame[..., layout.channels], 3, axis=2) if layout.gray else video_frame
 
 
-log: logging.Logger = logging.getLogger(__name__)
-
-
 @runtime_checkable
 class Window(Protocol):
     """A full screen of rows and columns, refreshed ``rate_hz`` times per second."""
@@ -66,9 +63,6 @@ class Window(Protocol):
 
 class PygletWindow:
     """A pyglet window on one screen, in step with its refresh, without scaling."""
-
-    size: tuple[int, int]
-    rate_hz: float
 
     def __init__(self, screen: int, size: tuple[int, int], rate_hz: float | None = None) -> None:
         with extra("window", "a projector window needs pyglet"):
@@ -90,7 +84,8 @@ class PygletWindow:
         rate = rate_hz or getattr(found.get_mode(), "rate", None)
         if not rate:
             raise WrongDevice(f"the system does not report the refresh rate of screen {screen}; set its rate_hz")
-        self.size, self.rate_hz = size, float(rate)
+        self.size = size
+        self.rate_hz: float = float(rate)
         self._pyglet: Any = pyglet
         self._window: Any = pyglet.window.Window(fullscreen=True, screen=found, vsync=True)
         self._window.set_mouse_visible(False)
@@ -118,16 +113,15 @@ class PygletWindow:
             self._window.close()
 
 
-class HdmiProjector(Closing):
+class HdmiProjector(ClosedOnce):
     """A projector that shows several frames of each video frame, ``latency`` refreshes after it was sent."""
 
-    window: Window
-    layout: SlotLayout
-    latency: int
+    called = "the projector's window (check its cable and its power)"  # lost, it is dark
 
     def __init__(self, window: Window, layout: SlotLayout, latency_refreshes: int = 1) -> None:
-        self.window, self.layout, self.latency = window, layout, latency_refreshes
-        self._closed = False
+        self.window = window
+        self.layout = layout
+        self.latency = latency_refreshes
 
     @property
     def size(self) -> tuple[int, int]:
@@ -158,12 +152,5 @@ class HdmiProjector(Closing):
         except Exception as error:  # systems raise various errors for an unplugged screen
             raise DeviceLost(f"the projector's screen is lost ({error}); check its cable and its power") from error
 
-    def close(self) -> None:
-        """Show black and close; may be called more than once. A lost screen is only logged, because it is dark."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            self.window.close()
-        except Exception as error:  # an error here would hide why a print ended
-            log.warning("closing the projector's window: %s; check its cable and its power", error)
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        return (self.window.close,)

@@ -46,15 +46,15 @@ POLL = 0.02  # time between two queries whether an axis moves [s]
 class PolledStage(ClosedOnce):
     """An axis with ``microsteps`` per unit, whose motion is polled; when closed, it stops and releases its line."""
 
-    unit: str
-    microsteps: float
     called = "a stage"
 
     def __init__(
         self, line: Closable, name: str, microsteps: float, unit: str = "deg", patience_s: float = 60.0,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:  # fmt: skip
-        self._line, self._name, self.microsteps, self.unit = line, name, microsteps, unit
+        self.microsteps = microsteps
+        self.unit = unit
+        self._line, self._name = line, name
         self._patience, self._pause = patience_s, pause
         with closed_on_error(line):
             geared(microsteps, unit)
@@ -104,7 +104,7 @@ class PolledStage(ClosedOnce):
             waited += POLL
 
     def stop(self) -> None:
-        """Start to stop the axis."""
+        """Begin to stop the axis, without waiting."""
         self.run(0.0)
 
     def release(self) -> None:
@@ -127,26 +127,16 @@ def above_zero(speed: float) -> None:
         raise BadInput(f"a move needs a speed above 0, not {speed}")
 
 
-class ZaberLink(Protocol):
-    """A link to Zaber devices: the maker's package, or lines on a wire."""
-
-    name: str
-
-    # send a command and return the reply; ``axis`` 0 means the device
-    def exchange(self, device: int, axis: int, text: str) -> zaber.Message: ...
-    def close(self) -> None: ...  # release the port
-
-
 class ZaberLines:
     """Zaber's commands as lines on a wire, with the wire's clock: the link of emulated stages."""
 
-    name: str
-
     def __init__(self, wire: Wire) -> None:
-        self._wire, self.name, self._number = wire, wire.name, 0
+        self.name: str = wire.name
+        self._wire, self._number = wire, 0
         wire.drain()
 
     def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
+        """Send a command and return the reply; ``axis`` 0 means the device."""
         with self._wire.lock:
             self._number = (self._number + 1) % 96
             self._wire.send(zaber.command(device, axis, self._number, text))
@@ -163,13 +153,12 @@ class ZaberLines:
 class ZaberConnection:
     """Zaber's commands through the maker's package, at a serial port or at ``socket://host:port``."""
 
-    name: str
-
     def __init__(self, url: str, name: str, timeout_s: float = 0.5) -> None:
         with extra("zaber", "Zaber stages need zaber-motion"):
             import zaber_motion
             from zaber_motion.ascii import Connection
-        self.name, self._library, self._timeout = f"{name} at {url}", zaber_motion, round(timeout_s * 1000)
+        self.name: str = f"{name} at {url}"
+        self._library, self._timeout = zaber_motion, round(timeout_s * 1000)
         try:
             if url.startswith("socket://"):
                 host, _, port = url.removeprefix("socket://").rpartition(":")
@@ -206,7 +195,7 @@ class ZaberStage(PolledStage):
     """One axis. output: triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both."""
 
     def __init__(
-        self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
+        self, link: Wire | ZaberConnection, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
         encoder: bool = False, output: int = 1, gate: int | None = None, **options: Any,
     ) -> None:  # fmt: skip
         self._device, self._axis, self._output, self._gate = device, axis, output, gate
@@ -224,7 +213,7 @@ class ZaberStage(PolledStage):
     def _start(self) -> None:
         """Check that its encoder and its microsteps per turn are those of the rig's file."""
         line: Any = self._line
-        self._link: ZaberLink = ZaberLines(line) if isinstance(line, Wire) else line
+        self._link: ZaberLines | ZaberConnection = ZaberLines(line) if isinstance(line, Wire) else line
         try:
             self.kind: int = self._whole("get deviceid")
         except (ProtocolError, DeviceLost) as error:
@@ -234,7 +223,9 @@ class ZaberStage(PolledStage):
         except DeviceRefused as error:
             if "encoder" not in self._place:
                 raise
-            raise WrongDevice(f"{self._link.name} has no encoder ({error}); set encoder = false in [motion]") from error
+            raise WrongDevice(
+                f"{self._link.name} has no encoder ({error}); set encoder = false in its table"
+            ) from error
         if (turn := self.turn()) and self.unit == "deg" and abs(turn / 360 / self.microsteps - 1) > SAME:
             raise WrongDevice(
                 f"{self._link.name} has {turn} microsteps per turn, {turn / 360:.8g} per degree; expected "
@@ -329,13 +320,13 @@ def _axis(uri: str) -> Any:
 class StandaStage(ClosedOnce):
     """One axis of libximc's ``highlevel.Axis``, with ``steps`` full steps per unit, each of ``fraction`` microsteps."""
 
-    steps: float
-    unit: str
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
         geared(steps, unit)
-        self._axis, self.steps, self.unit, self._fraction = axis, steps, unit, fraction
+        self.steps = steps
+        self.unit = unit
+        self._axis, self._fraction = axis, fraction
         self._call("open_device")
 
     @classmethod

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound
-from vamgpu.hosts.drivers.cleanup import Closing, extra
+from vamgpu.hosts.drivers.cleanup import Closing, all_of, extra
 from vamgpu.hosts.schedules.clock import Clock, RealClock
 from vamgpu.hosts.schedules.timing import SECOND
 
@@ -68,15 +68,14 @@ class SysfsPwm(Closing):
 class StepperStage(Closing):
     """A `Stage` that only moves forwards by pulses; an index at 0 of each turn corrects position and rate."""
 
-    microsteps: float
-
     def __init__(
         self, pulses: PulseOutput, clock: Clock, microsteps: float, unit: str = "deg", ramp: float = 100.0,
         index: IndexInput | None = None,
     ) -> None:  # fmt: skip
         if not microsteps > 0 or not ramp > 0 or unit not in ("mm", "deg"):
             raise BadInput(f"{microsteps} pulses per {unit!r}, ramp {ramp} are not possible; expected numbers above 0")
-        self.unit, self.microsteps = unit, microsteps
+        self.microsteps = microsteps
+        self.unit = unit
         self._pulses, self._clock, self._ramp, self._index = pulses, clock, ramp, index
         self._at, self._since, self._speed = 0.0, clock.now(), 0.0
         self.marks = None if index is None else 0
@@ -138,12 +137,8 @@ class StepperStage(Closing):
         self.run(0.0)
 
     def close(self) -> None:
-        try:
-            self._set(0.0)
-            self._pulses.close()
-        finally:
-            if self._index is not None:
-                self._index.close()
+        index = () if self._index is None else (self._index.close,)
+        all_of(lambda: self._set(0.0), self._pulses.close, *index)
 
 
 MOST = 1000  # edges that wait to be read; a mark comes once per turn

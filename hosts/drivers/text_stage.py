@@ -10,14 +10,14 @@ from vamgpu.hosts.drivers.stages import PolledStage
 from vamgpu.hosts.drivers.wire import MOST, Wire, open_wire
 
 TRIES = 16  # queries until a board that restarts at the opening of its port must have answered
-SLOW = 0.2  # time in which a moving axis makes a step at least [s]
+SLOW = 0.2  # time in which a moving axis makes at least one step [s]
 SAME = 1e-4  # relative tolerance of steps that a board prints with three decimals
 
 
 class Dialogue(NamedTuple):
     """Texts of a firmware, with the fields {speed}, {rate}, {position}, {way}, {steps} and {steps_per_s}.
 
-    A speed is in units per second, a rate in units per minute, a way from here on.
+    A speed is in units per second, a rate in units per minute. A way is the distance from the present position.
     """
 
     ask: str  # query of the position
@@ -129,7 +129,6 @@ class GrblStage(TextStage):
             raise DeviceRefused(f"{self._name} reports inches or has soft limits; set $13=0 and $20=0", "settings")
 
     def _settings(self) -> dict[int, float]:
-        """Its numbered settings."""
         found: dict[int, float] = {}
         with self._wire.lock:
             self._wire.drain()
@@ -170,7 +169,7 @@ class GrblStage(TextStage):
             self._jog()
 
     def _rest(self) -> None:
-        """Stop a motion at a speed, whose jogs would be made first."""
+        """Stop a motion at a speed: its queued jogs would come first."""
         if self._speed:
             self.stop()
             self.wait()
@@ -181,6 +180,6 @@ class GrblStage(TextStage):
         super()._move(position, speed)
 
     def stop(self) -> None:
-        """Start to stop the axis; its jogs are dropped."""
+        """Begin to stop the axis; its jogs are dropped."""
         self._speed = 0.0
         self._wire.send(self._says.stop.encode("latin-1"))

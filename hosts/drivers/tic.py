@@ -23,7 +23,7 @@ ERRORS = (
 
 
 class TicStage(PolledStage):
-    """One motor, with ``microsteps`` per unit; it stops by itself if nobody asks for its position for its timeout."""
+    """One motor, with ``microsteps`` per unit; it stops by itself if its position is not queried within its timeout."""
 
     def __init__(self, tic: Any, line: Any, name: str, microsteps: float, unit: str = "deg", **options: Any) -> None:
         self._tic = tic
@@ -78,7 +78,7 @@ class TicStage(PolledStage):
         return found
 
     def position(self) -> float:
-        """The steps made; the query also tells the Tic that its host lives."""
+        """The steps made; the query also shows the Tic that its host is alive."""
         self._call("reset_command_timeout")
         return self._call("get_current_position") / self.microsteps
 

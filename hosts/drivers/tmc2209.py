@@ -98,7 +98,7 @@ class Tmc2209Stage(PolledStage):
                 self._wire.receive(8)
 
     def position(self) -> float:
-        """The microsteps made: the counter, and its turns by the speed, which it corrects."""
+        """The microsteps made: the counter plus its overflows by the speed, which the counter corrects."""
         asked = self._clock.now()
         value = self._read(COUNTER)
         now = (asked + self._clock.now()) // 2

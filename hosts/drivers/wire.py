@@ -177,7 +177,7 @@ class Wire(Closing):
         return self._take(end + 1 if end >= 0 else longest)
 
     def exchange(self, text: str, pattern: str, refused: str) -> re.Match[str]:
-        """Send a text; the first line that matches the pattern. DeviceRefused at a line that matches ``refused``."""
+        """Send a text; returns the first line that matches. `DeviceRefused` at a line that matches ``refused``."""
         with self.lock:
             self.drain()
             self.send(text.encode("latin-1"))

@@ -198,8 +198,7 @@ class EmulatedAlp(EmulatedArray):
         self.gates[kind - 2022] = gate
         return 0
 
-    def _AlpDevHalt(self) -> None:  # noqa: N802
-        self._cut()
+    _AlpDevHalt = _AlpProjHalt = EmulatedArray._cut
 
     def _AlpDevFree(self) -> int:  # noqa: N802
         if self._queue:
@@ -232,9 +231,6 @@ class EmulatedAlp(EmulatedArray):
 
     def _AlpProjStartCont(self, sequence: int) -> int:  # noqa: N802
         return self._AlpProjStart(sequence, forever=True)
-
-    def _AlpProjHalt(self) -> None:  # noqa: N802
-        self._cut()
 
     def _AlpProjControl(self, kind: int, value: int) -> int:  # noqa: N802
         if self._queue:

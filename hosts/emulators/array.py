@@ -79,11 +79,9 @@ class Queued:
 class EmulatedArray:
     """The mirrors: ``trigger`` is their input, ``on_shown`` receives each finished frame."""
 
-    clock: VirtualClock
-    model: ArrayModel
-
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
-        self.clock, self.model = clock, model
+        self.clock = clock
+        self.model = model
         self.on_shown: Callable[[DisplayedFrame], None] | None = None
         self.counts: dict[str, int] = {"shown": 0, "missed": 0, "empty": 0, "uploaded": 0, "upload_bytes": 0}
         self.removed = False

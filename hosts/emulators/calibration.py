@@ -24,7 +24,7 @@ from vamgpu.hosts.emulators.camera import EmulatedCamera, Sensor
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import LineDevice, plug
+from vamgpu.hosts.emulators.line import LineDevice, VirtualPort
 from vamgpu.hosts.emulators.rigs import EmulatedLine
 from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 from vamgpu.hosts.emulators.stage import EmulatedStage
@@ -33,9 +33,6 @@ from vamgpu.hosts.emulators.stage import EmulatedStage
 class EmulatedMeter(LineDevice):
     """A photodiode's meter that reads ``light(now)`` [mW], with noise [mW]; beyond its range it has no value."""
 
-    wavelength: float
-    count: int
-
     def __init__(
         self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0
     ) -> None:
@@ -43,7 +40,8 @@ class EmulatedMeter(LineDevice):
         self.errors: deque[str] = deque()
         self._light, self._noise, self._greatest = light, noise_mw, greatest_mw
         self._random = np.random.default_rng(seed)
-        self.wavelength, self.count = 405.0, 1
+        self.wavelength: float = 405.0
+        self.count: int = 1
 
     def receive(self, data: bytes, now: int) -> None:
         for line in self.lines(data):
@@ -61,7 +59,6 @@ class EmulatedMeter(LineDevice):
                 return "Emulated,PM400,1001,1.0"
             case ["*CLS"]:
                 self.errors.clear()
-                return ""
             case ["SYST:ERR?"]:
                 return self.errors.popleft() if self.errors else '+0,"No error"'
             case ["MEAS:POW?"]:
@@ -73,11 +70,11 @@ class EmulatedMeter(LineDevice):
                     self.wavelength = wavelength
                 else:
                     self.errors.append('-222,"Data out of range"')
-                return ""
             case ["SENS:AVER:COUN", value]:
                 self.count = int(value)
-                return ""
-        return None
+            case _:
+                return None
+        return ""
 
 
 MICRO = 1000
@@ -107,7 +104,7 @@ class Optics:
     turn: float = 4.0  # dark time at the start of each plane [us]
     full: float = 20.0  # light of all mirrors on the photodiode [mW]
     pin: float = 0.0  # half the width of a pin on the turntable [columns]; 0 for none
-    across: tuple[float, float] = (2.4, -1.3)  # the pin from the axis, times (cos, sin) of its angle [columns]
+    across: tuple[float, float] = (2.4, -1.3)  # position of the pin: factors of (cos, sin) of its angle [columns]
     lean: float = 0.006  # slope of the pin [columns per row]
     wobble: tuple[float, float] = (0.010, 0.014)  # added to it, times (cos, sin)
     tilt: float = 0.0  # relative dimming of mirrors at the right edge
@@ -222,11 +219,9 @@ class RecordingAlp(EmulatedAlp):
 class ProjectedLight:
     """The light of a projector over a time, with one channel of the lamp."""
 
-    channel: int
-    optics: Optics
-
     def __init__(self, channel: int, optics: Optics) -> None:
-        self.channel, self.optics = channel, optics
+        self.channel = channel
+        self.optics = optics
         self._lamp: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=4096)
 
     def lamp(self, channels: int, powers: Iterable[int], now: int) -> None:
@@ -300,13 +295,11 @@ class CableLight(ProjectedLight):
 class RigCamera(EmulatedCamera):
     """A camera on a stage that faces the projector; it exposes one image after another, and keeps all."""
 
-    emulated: EmulatedCalibrationRig
-    pixel: float
-
     def __init__(self, emulated: EmulatedCalibrationRig, sensor: Sensor, pixel: float) -> None:
         super().__init__(emulated.clock, lambda now: np.zeros(emulated.optics.view), sensor,
                          seed=emulated.optics.seed)  # fmt: skip
-        self.emulated, self.pixel = emulated, pixel
+        self.emulated = emulated
+        self.pixel = pixel
         self.flush()
 
     def flush(self) -> None:
@@ -327,12 +320,10 @@ class RigCamera(EmulatedCamera):
 class EmulatedCalibrationRig:
     """All machines, and the optics between them; each method opens a driver."""
 
-    optics: Optics
-    rig: Any  # contents of its file
-    clock: VirtualClock
-
     def __init__(self, optics: Optics, rig: Any) -> None:
-        self.optics, self.rig, self.clock = optics, rig, VirtualClock()
+        self.optics = optics
+        self.rig = rig  # contents of its file
+        self.clock: VirtualClock = VirtualClock()
         rows, columns = optics.mirrors
         self.readout = ceil(1e9 / rig.display[0].refresh) if rig.video else 0  # until a screen's light is known [ns]
         self._power = [round(65535 * rig.light.power)] * len(rig.display)
@@ -384,7 +375,7 @@ class EmulatedCalibrationRig:
         """The controller, if the rig has one."""
         if self.rig.controller is None:
             return None
-        return Controller(Wire(plug(self.box, self.clock, 0.02), "the controller"), self.rig.motion.microsteps)
+        return Controller(Wire(VirtualPort(self.box, self.clock, 0.02), "the controller"), self.rig.motion.microsteps)
 
     def lamp(self) -> TtlLamp | None:
         """The lamp that the host switches, if any."""
@@ -399,13 +390,13 @@ class EmulatedCalibrationRig:
 
     def lens(self) -> LensDriver:
         """The lens, in focal power mode."""
-        lens = LensDriver(Wire(plug(self.glass, self.clock, 0.25, 115200), "the lens driver"))
+        lens = LensDriver(Wire(VirtualPort(self.glass, self.clock, 0.25, 115200), "the lens driver"))
         lens.focal_power_mode()
         return lens
 
     def stage(self) -> ZaberStage:
         """The camera's stage."""
-        wire = Wire(plug(self.axis, self.clock, 0.5), "the camera's stage")
+        wire = Wire(VirtualPort(self.axis, self.clock, 0.5), "the camera's stage")
         return ZaberStage(wire, self._microsteps(), "mm", pause=lambda seconds: self.clock.sleep(round(seconds * 1e9)))
 
     def camera(self) -> RigCamera:
@@ -426,7 +417,7 @@ class EmulatedCalibrationRig:
             return optics.ambient + optics.full * float((np.asarray(seen).mean(axis=0) * passes).mean())
 
         meter = EmulatedMeter(light, optics.noise, seed=optics.seed)
-        return PowerMeter(Wire(plug(meter, self.clock, 1.0), "the photodiode"))
+        return PowerMeter(Wire(VirtualPort(meter, self.clock, 1.0), "the photodiode"))
 
 
 def marked_vial(ratio: float) -> tuple[VirtualClock, ZaberStage, EmulatedCamera]:
@@ -440,4 +431,4 @@ def marked_vial(ratio: float) -> tuple[VirtualClock, ZaberStage, EmulatedCamera]
         mark = np.exp(-(((rows - 0.7 * np.sin(angle)) / 0.1) ** 2) - (columns / 0.3) ** 2)
         return 1e6 * (0.3 + 0.5 * max(float(np.cos(angle)), 0.0) * mark)
 
-    return clock, ZaberStage(Wire(plug(machine, clock, 0.02), "the stage"), steps), EmulatedCamera(clock, scene)
+    return clock, ZaberStage(Wire(VirtualPort(machine, clock, 0.02), "the stage"), steps), EmulatedCamera(clock, scene)

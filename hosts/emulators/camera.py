@@ -141,12 +141,11 @@ class ResinModel:
 class ResinScene:
     """A scene of resin, which scatters the light of a lamp according to its dose [mJ/mm3]."""
 
-    model: ResinModel
-
     def __init__(
         self, size: tuple[int, int], model: ResinModel = ResinModel(), electrons_per_s: float = 200_000.0
     ) -> None:
-        self.model, self._electrons = model, electrons_per_s
+        self.model = model
+        self._electrons = electrons_per_s
         self.dose: np.ndarray = np.zeros(size)
 
     def deposit(self, rate: np.ndarray | float, start: int, end: int) -> None:

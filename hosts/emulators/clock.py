@@ -82,7 +82,7 @@ class PacedClock(VirtualClock):
             return self._now
 
     def sleep_until(self, until: int) -> None:
-        """Return at ``until`` [ns] or soon after. Machines due before act at their time or later."""
+        """Return at ``until`` [ns] or soon after, when all machines that are due by then have acted."""
         self._own.sleep_until(self._began + until)
         self.now()
 

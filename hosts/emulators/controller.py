@@ -42,21 +42,10 @@ class EmulatedController(LineDevice):
 
     # ``intervals`` records times, channels and drives of light.
 
-    capacity: int
-    channels: int
-    armed: bool
-    running: bool
-    done: bool
-    next_row: int
-    shown: int
-    late: int
-    zero: int
-    play: int
-    started: int
-
     def __init__(self, capacity: int = CAPACITY, channels: int = 2) -> None:
         super().__init__(latency_us=50.0)
-        self.capacity, self.channels = capacity, channels
+        self.capacity = capacity
+        self.channels = channels
         self._last: tuple[bytes, bytes] | None = None
         self.on_trigger: Callable[[int], None] | None = None
         self.on_lens: Callable[[bytes, int], None] | None = None
@@ -74,14 +63,21 @@ class EmulatedController(LineDevice):
         """Start as a board does at power-on."""
         self.web: Track = Track(acceleration=RAMP)
         self.senses: Senses = Senses()
-        self.armed = self.running = self.done = False
+        self.armed: bool = False
+        self.running: bool = False
+        self.done: bool = False
         self.fault: str = "none"
         self.lease_end: int | None = None
         self.steps_mode: bool = False
         self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
-        self.next_row = self.shown = self.late = self.zero = self.play = 0
+        self.next_row: int = 0
+        self.shown: int = 0
+        self.late: int = 0
+        self.zero: int = 0
+        self.play: int = 0
         self.total: int | None = None
-        self.started = self._floor = 0
+        self.started: int = 0
+        self._floor = 0
         self._fired = -TRIGGER_GAP
         self._pulse: tuple[int, int, int] | None = None
         self._pulse_end: int | None = None
@@ -132,7 +128,7 @@ class EmulatedController(LineDevice):
                 self._act_row(at)
 
     def _sense_at(self, at: int) -> bool:
-        """Compare encoder and mark; whether that closed the light, or was the only event due."""
+        """Compare encoder and mark; return whether that switched the light off, or was the only event due."""
         only = at not in (self._judge_at, self._pulse_end, self.lease_end, self._row_due())
         only = only and (self._pulse is None or at < self._pulse[0])
         reason, homed = self.senses.compare(self.web, at, self.microsteps(at))

@@ -24,9 +24,6 @@ class DoseRecorder:
     # position: of the motion [angles] at a time [ns]; power: of the lens [1/m]; first: beginning of angle 0, None for
     # the place of the first light; drive: share of full of an engine's lamp; turn: number of angles per turn.
 
-    mirrors: tuple[int, int]
-    engines: int
-
     def __init__(
         self, position: Callable[[int], float], mirrors: tuple[int, int], engines: int = 1,
         power: Callable[[int], float] | None = None, planes: Sequence[float] = (0.0,), first: float | None = None,
@@ -34,20 +31,26 @@ class DoseRecorder:
     ) -> None:  # fmt: skip
         self._drive = drive or (lambda engine: 1.0)
         self._position, self._power, self._planes = position, power, np.asarray(planes, float)
-        self.mirrors, self.engines = mirrors, engines
+        self.mirrors = mirrors
+        self.engines = engines
         self.light: dict[tuple[int, int, int], np.ndarray] = {}
         self.astray: float = 0.0
         self.listeners: list[Callable[[np.ndarray, int, int], None]] = []
         self.first = first
         self.turn: int | None = None
         self._begins: np.ndarray | None = None
+        self._awaited: tuple[float, float] | None = None
         self._times, self._channels, self._drives = [0], [0], [(1.0,) * engines]
 
-    def scan(self, schedule: Schedule) -> None:
-        """Set the angles of a vial, which repeat. Each angle extends to the next, also for measured angles."""
-        self.turn, turn = schedule.frames, schedule.position[: schedule.frames]
+    def scan(self, schedule: Schedule, dark: int = 0) -> None:
+        """Set the angles of a vial. Each extends to the next, also for measured angles. dark: black frames at first."""
+        self.turn, way = schedule.frames, (schedule.position - schedule.position[0]) / float(schedule.advance)
+        turn = 360.0 / float(schedule.advance)
         if schedule.advance * schedule.frames != 360:
-            self._begins = np.append(turn - turn[0], 360.0) / float(schedule.advance)
+            whole = turn if schedule.repeats else turn * schedule.turns
+            self._begins = np.append(way[: schedule.frames], whole)
+        if not schedule.repeats and self.first is not None:  # turn 0 follows from the first light
+            self._awaited = turn, (way[dark] + MARGIN) // turn
 
     def lamp(self, channels: int, now: int) -> None:
         """The lamp changes."""
@@ -66,6 +69,9 @@ class DoseRecorder:
 
     def lit(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
         """Record that mirrors [row, column] were on, or on for a share of the time, between two times [ns]."""
+        if self._awaited is not None and mirrors.any():
+            (turn, before), self._awaited = self._awaited, None
+            self.first = turn * ((self._position(start) + MARGIN) // turn - before)
         for begin, stop, drive in self._lit(engine, start, end):
             light = mirrors if drive == 1.0 else drive * mirrors
             self._add(engine, light, begin, stop)
@@ -85,7 +91,7 @@ class DoseRecorder:
         return found
 
     def pose(self, now: int) -> float:
-        """The angle that light reaches at a time [ns], counted on over turns."""
+        """The angle that light reaches at a time [ns], counted over turns."""
         pose = self._position(now) - (self.first or 0.0) + MARGIN
         if self._begins is None:
             return pose
@@ -136,7 +142,7 @@ class DoseRecorder:
 
 
 def full_light(schedule: Schedule, engine: int) -> float:
-    """Seconds of full drive for a full-on pixel of a slot; machines light for whole microseconds."""
+    """Lit time of a full-on pixel in a slot, in seconds of full drive; machines round it to whole microseconds."""
     return int(schedule.on[0]) // 1000 * 1e-6 * float(schedule.power[0, engine])
 
 

@@ -6,6 +6,7 @@ import errno
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Literal
 
 from vamgpu.hosts.emulators.clock import VirtualClock
 
@@ -15,10 +16,8 @@ SECOND = 1_000_000_000
 class LineDevice:
     """An emulated machine on a line, with received and outgoing bytes."""
 
-    _buffer: bytearray
-
     def __init__(self, latency_us: float, byte_ns: int = 0) -> None:
-        self._buffer = bytearray()
+        self._buffer: bytearray = bytearray()
         self._out = Outbox(byte_ns, round(latency_us * 1000))
 
     def lines(self, data: bytes) -> Iterator[bytes]:
@@ -53,11 +52,9 @@ class LineDevice:
 class Outbox:
     """Outgoing bytes, each with the time at which it is sent."""
 
-    byte_ns: int
-    latency_ns: int
-
     def __init__(self, byte_ns: int = 0, latency_ns: int = 0) -> None:
-        self.byte_ns, self.latency_ns = byte_ns, latency_ns
+        self.byte_ns = byte_ns
+        self.latency_ns = latency_ns
         self._pieces: deque[tuple[int, bytes]] = deque()  # start time of the first byte of a piece
         self._last = 0
 
@@ -95,16 +92,9 @@ class Faults:
     dead: bool = False
     _count: dict[str, int] = field(default_factory=lambda: {"in": 0, "out": 0})
 
-    def to_machine(self, data: bytes) -> bytes:
-        """The bytes of the host that arrive despite the faults."""
-        return self._spoil(data, "in", self.drop_in, self.flip_in)
-
-    def to_host(self, data: bytes) -> bytes:
-        """The bytes of the machine that arrive despite the faults."""
-        return self._spoil(data, "out", self.drop_out, self.flip_out)
-
-    def _spoil(self, data: bytes, way: str, drop: frozenset[int], flip: frozenset[int]) -> bytes:
-        first = self._count[way]
+    def spoiled(self, data: bytes, way: Literal["in", "out"]) -> bytes:
+        """The bytes that arrive despite the faults, on their way into the machine or out of it."""
+        first, drop, flip = self._count[way], getattr(self, f"drop_{way}"), getattr(self, f"flip_{way}")
         self._count[way] += len(data)
         if self.dead:
             return b""
@@ -139,14 +129,15 @@ class Cable:
 
 
 class VirtualPort:
-    """A port on a virtual clock: reading waits in virtual time."""
+    """A port to a machine on a virtual clock: reading waits in virtual time; with ``baud`` 0, sending takes none."""
 
-    machine: LineDevice
-    clock: VirtualClock
-    faults: Faults
-
-    def __init__(self, machine: LineDevice, clock: VirtualClock, timeout_s: float, baud: int, faults: Faults) -> None:
-        self.machine, self.clock, self.faults = machine, clock, faults
+    def __init__(
+        self, machine: LineDevice, clock: VirtualClock, timeout_s: float = 0.25, baud: int = 0,
+        faults: Faults | None = None,
+    ) -> None:  # fmt: skip
+        self.machine = machine
+        self.clock = clock
+        self.faults: Faults = faults or Faults()
         self.timeout_ns: int = round(timeout_s * SECOND)
         self._cable = Cable(machine, baud)
         self._received = bytearray()
@@ -176,12 +167,12 @@ class VirtualPort:
     def _collect(self) -> None:
         with self.clock.lock:
             if data := self.machine.take(self.clock.now()):
-                self._received += self.faults.to_host(data)
+                self._received += self.faults.spoiled(data, "out")
 
     def write(self, data: bytes, /) -> int:
         self._check()
         with self.clock.lock:
-            self._cable.send(self.faults.to_machine(bytes(data)), self.clock.now())
+            self._cable.send(self.faults.spoiled(bytes(data), "in"), self.clock.now())
         return len(data)
 
     def read(self, size: int = 1, /) -> bytes:
@@ -217,10 +208,3 @@ class VirtualPort:
     def close(self) -> None:
         """Disconnect the line; the machine keeps its state."""
         self.clock.detach(self._cable)
-
-
-def plug(
-    machine: LineDevice, clock: VirtualClock, timeout_s: float = 0.25, baud: int = 0, faults: Faults | None = None,
-) -> VirtualPort:  # fmt: skip
-    """A port to a machine on a virtual clock; ``baud`` 0 means that sending takes no time."""
-    return VirtualPort(machine, clock, timeout_s, baud, faults or Faults())

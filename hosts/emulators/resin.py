@@ -60,13 +60,12 @@ class CuringCamera:
     that of the beam.  sensor: None if the camera's pixels are those of the beam.
     """
 
-    printer: VirtualPrinter
-
     def __init__(
         self, emulated: Any, printer: VirtualPrinter, part: np.ndarray, seen: Callable[[], np.ndarray] | None,
         light: Callable[[np.ndarray], np.ndarray], sensor: EmulatedSensor | None = None,
     ) -> None:  # fmt: skip
-        self._emulated, self.printer, self._part, self._seen, self._light = emulated, printer, part, seen, light
+        self.printer = printer
+        self._emulated, self._part, self._seen, self._light = emulated, part, seen, light
         self._sensor = sensor
         self._before: np.ndarray | float = 0.0
         self._images: np.ndarray | None = None

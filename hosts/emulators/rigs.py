@@ -19,7 +19,7 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.dose import DoseRecorder
 from vamgpu.hosts.emulators.lens import EmulatedLens, LensInput
-from vamgpu.hosts.emulators.line import Cable, Faults, VirtualPort, plug
+from vamgpu.hosts.emulators.line import Cable, Faults, VirtualPort
 from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 from vamgpu.hosts.emulators.stage import EmulatedStage, EmulatedStepper
 from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, VideoMachines
@@ -27,6 +27,7 @@ from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, VideoMac
 LENS_BAUD = 38400
 MICROSTEPS = 1000.0  # microsteps of the video rig's stage per degree
 UNBOUND = 10**12  # limits of a stage without ends [microsteps]
+LIFT = 10_000.0  # microsteps of a lift per millimeter
 FINER = 100  # microsteps per millimeter / microsteps per degree
 
 
@@ -37,18 +38,26 @@ class _EmulatedRig:
     recorder: DoseRecorder
     controller: EmulatedController | None
     stage: EmulatedStage
+    lift: EmulatedStage
 
     def _plug_controller(self, microsteps_per_unit: float = 1.0, faults: Faults | None = None) -> Controller | None:
         if self.controller is None:
             return None
-        self.port: VirtualPort = plug(self.controller, self.clock, 0.02, 0, faults)
+        self.port: VirtualPort = VirtualPort(self.controller, self.clock, 0.02, 0, faults)
         return Controller(Wire(self.port, "the controller"), microsteps_per_unit)
 
     def _plug_stage(self, microsteps: float, unit: str) -> ZaberStage:
-        self.stage_port: VirtualPort = plug(self.stage, self.clock, 0.02)
-        pause = lambda seconds: self.clock.sleep(round(seconds * 1e9))  # noqa: E731
+        self.stage_port: VirtualPort = VirtualPort(self.stage, self.clock, 0.02)
         outputs = {"output": self.stage.wired, "gate": self.stage.joined}
-        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=pause, **outputs)
+        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=self._pause, **outputs)
+
+    def _pause(self, seconds: float) -> None:
+        self.clock.sleep(round(seconds * 1e9))
+
+    def plug_lift(self) -> ZaberStage:
+        """Add a stage that raises the vial, and open it."""
+        self.lift = EmulatedStage(UNBOUND, rotary=True, acceleration=200_000.0)
+        return ZaberStage(Wire(VirtualPort(self.lift, self.clock, 0.02), "the lift"), LIFT, "mm", pause=self._pause)
 
 
 class _TriggeredRig(_EmulatedRig):
@@ -107,7 +116,7 @@ class EmulatedMirrorRig(_TriggeredRig):
         assert controller is not None
         lens = None
         if self.lens is not None:
-            lens = LensDriver(Wire(plug(self.lens, self.clock, 0.25, LENS_BAUD), "the lens driver"))
+            lens = LensDriver(Wire(VirtualPort(self.lens, self.clock, 0.25, LENS_BAUD), "the lens driver"))
             lens.focal_power_mode()
         return MirrorMachines(self.clock, controller, self._mirrors(), microsteps_per_unit, lens)
 
@@ -115,20 +124,20 @@ class EmulatedMirrorRig(_TriggeredRig):
 class EmulatedStageRig(_TriggeredRig):
     """Mirrors that a stage triggers, with a light that a controller or a line gates, or that is always on."""
 
-    microsteps: int
-    unit: str
-    stage: EmulatedStage
-    controller: EmulatedController | None
-
     def __init__(
         self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
         lamp: bool = True, controller: bool = False, clock: VirtualClock | None = None, power: float = 1.0,
         outputs: tuple[int, int | None] = (1, None),
     ) -> None:  # fmt: skip
         super().__init__(clock, model, engines)
-        self.microsteps, self.unit = microsteps, unit
-        self.stage = EmulatedStage(UNBOUND, rotary=True, acceleration=200_000.0, wired=outputs[0], joined=outputs[1])
-        self.controller = EmulatedController(channels=max(2, engines)) if controller else None
+        self.microsteps = microsteps
+        self.unit = unit
+        self.stage: EmulatedStage = EmulatedStage(
+            UNBOUND, rotary=True, acceleration=200_000.0, wired=outputs[0], joined=outputs[1]
+        )
+        self.controller: EmulatedController | None = (
+            EmulatedController(channels=max(2, engines)) if controller else None
+        )
         self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
         self._record(DoseRecorder(
             lambda now: self.stage.true_position(now) / self.microsteps, self._size, engines,
@@ -159,23 +168,19 @@ class EmulatedStageRig(_TriggeredRig):
 class EmulatedVideoRig(_EmulatedRig):
     """A video projector with a stage, or a stepper whose clock is faster by a rate [ppm]."""
 
-    clock: VirtualClock
-    gated: bool
-    recorder: DoseRecorder
-    stage: EmulatedStage
-
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,
         scale: float = 1.0, rate_hz: int = 60, clock: VirtualClock | None = None, stepper: float | None = None,
         indexed: bool = False, gated: bool = True, layout: SlotLayout | None = None,
         pose: float | None = None, unit: str = "deg", power: float = 1.0,
     ) -> None:  # fmt: skip
-        self.clock = clock or VirtualClock()
+        self.clock: VirtualClock = clock or VirtualClock()
         self.stepper: EmulatedStepper | None = (
             None if stepper is None else EmulatedStepper(self.clock, 360.0 * MICROSTEPS, stepper)
         )
-        self._indexed, self.gated = indexed, gated
-        self.stage = EmulatedStage(UNBOUND, rotary=True, acceleration=200_000.0, scale=scale)
+        self.gated = gated
+        self._indexed = indexed
+        self.stage: EmulatedStage = EmulatedStage(UNBOUND, rotary=True, acceleration=200_000.0, scale=scale)
         self.stage.settings["limit.cycle.dist"] = round(360 * MICROSTEPS) if unit == "deg" else 0
         self.controller: EmulatedController = EmulatedController()
         self._layout = layout or (TWO_OF_8 if bits == 8 else THREE_OF_7)
@@ -186,7 +191,7 @@ class EmulatedVideoRig(_EmulatedRig):
         self._pose = self._microsteps * (pose or 360.0 / images)
         true = self.stage.true_position if self.stepper is None else self.stepper.position
         drive = self.controller.drive if gated else lambda engine: power
-        self.recorder = DoseRecorder(lambda now: true(now) / self._pose, size, first=0.0, drive=drive)
+        self.recorder: DoseRecorder = DoseRecorder(lambda now: true(now) / self._pose, size, first=0.0, drive=drive)
         self.controller.on_light = self.recorder.lamp
         if not gated:
             self.recorder.lamp(1, self.clock.now())
@@ -220,10 +225,9 @@ class EmulatedVideoRig(_EmulatedRig):
 class EmulatedLine:
     """A serial port with only control lines. on_change: called with whether RTS is high."""
 
-    unplugged: bool
-
     def __init__(self, on_change: Callable[[bool], None]) -> None:
-        self._on_change, self._rts, self.unplugged = on_change, False, False
+        self.unplugged: bool = False
+        self._on_change, self._rts = on_change, False
         self.dtr = False
 
     @property

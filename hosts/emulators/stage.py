@@ -95,8 +95,6 @@ class EmulatedStage(LineDevice):
             match words:
                 case ["trigger" | "io", *_]:
                     return self._triggers(words, now)
-                case []:
-                    return True, "0"
                 case ["get", "pos"]:
                     return True, str(round(self.track.position(now)))
                 case ["get", "encoder.pos"] if self.encoder:
@@ -105,23 +103,21 @@ class EmulatedStage(LineDevice):
                     return True, str(self.settings[name])
                 case ["set", "pos", value]:
                     self.track.set_position(now, int(value))
-                    return True, "0"
                 case ["set", name, value] if name in self.settings:
                     self.settings[name] = int(value)
-                    return True, "0"
                 case ["stop"] | ["estop"]:
                     self.track.run(now, 0.0)
-                    return True, "0"
                 case ["move", "abs", value]:
                     return self._go(float(int(value)), now)
                 case ["move", "rel", value]:
                     return self._go(self.track.position(now) + int(value), now)
                 case ["move", "vel", value]:
                     self.track.run(now, int(value) / SPEED)
-                    return True, "0"
+                case [_, *_]:
+                    return False, "BADCOMMAND"
         except ValueError:
             return False, "BADDATA"
-        return False, "BADCOMMAND"
+        return True, "0"
 
     def _triggers(self, words: list[str], now: int) -> tuple[bool, str]:
         """One trigger that toggles one output as the axis moves."""
@@ -141,7 +137,7 @@ class EmulatedStage(LineDevice):
         return True, "0"
 
     def _go(self, target: float, now: int) -> tuple[bool, str]:
-        if not self.rotary and not 0 <= target <= self.limit:
+        if not self.settings["limit.min"] <= target <= self.settings["limit.max"]:
             return False, "BADDATA"
         self.track.go(now, target, self.settings["maxspeed"] / SPEED)
         return True, "0"

@@ -22,11 +22,9 @@ class LatePolicy(Protocol):
 class WebLatePolicy:
     """A web cannot wait: a late frame is black, and more than ``allowed`` lost poses in ``window`` end the print."""
 
-    window: int
-    allowed: int
-
     def __init__(self, window: int = 360, allowed: int = 2) -> None:
-        self.window, self.allowed = whole("window", window), whole("allowed", allowed, 0)
+        self.window: int = whole("window", window)
+        self.allowed: int = whole("allowed", allowed, 0)
         self._recent: Counter[int] = Counter()
 
     def drop(self, pose: int) -> bool:
@@ -76,11 +74,9 @@ class VialLatePolicy:
 class Repeats:
     """Frames of one projector that were black, their versions, and their number of repeats."""
 
-    policy: LatePolicy
-    missed: set[int]
-
     def __init__(self, policy: LatePolicy) -> None:
-        self.policy, self.missed = policy, set[int]()
+        self.policy = policy
+        self.missed: set[int] = set[int]()
         self._due: Counter[int] = Counter()
         self._versions: dict[int, list[int]] = {}
 

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 class PlanePacker:
     """Packs numbered frames on the host. shape: shape of one frame's bytes [plane, row, byte]."""
 
-    shape: tuple[int, ...]
-    frames: int
     device: Device | None = None
 
     def __init__(self, source: FrameSource | None, shape: tuple[int, ...], frames: int) -> None:
-        self._source, self.shape, self.frames = source, shape, frames
+        self.shape = shape
+        self.frames = frames
+        self._source = source
 
     def read(self, frames: np.ndarray, out: np.ndarray) -> None:
         """Write frames, by their numbers, to ``out`` uint8 [frame, …]; `NONE` and numbers beyond the last are black."""
@@ -48,8 +48,6 @@ class DevicePacker(PlanePacker):
     """
 
     device: Device
-    batch: int
-    planes: int
     kernel: Kernel
 
     def __init__(
@@ -58,7 +56,8 @@ class DevicePacker(PlanePacker):
         size: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
         self.device = self._device = device
-        self.batch, self.planes = batch, len(shown)
+        self.batch = batch
+        self.planes: int = len(shown)
         self._images, self._own = images, own
         rows, columns = size or own
         top, left = _middle(own, (rows, columns), 8 if bits == 1 else 1)

@@ -76,12 +76,11 @@ class _Leveled:
 class VialFrames(_Leveled):
     """The frames of a vial's job: number k is frame k."""
 
-    bits: int
-    count: int
-
     def __init__(self, frames: Frames, mirrors: MirrorArray) -> None:
         mirrors.place(*frames.shape[1:])
-        self.bits, self.count, self._frames, self._mirrors = frames.bits, frames.shape[0], frames, mirrors
+        self.bits: int = frames.bits
+        self.count: int = frames.shape[0]
+        self._frames, self._mirrors = frames, mirrors
         self._levels, self._full = frames.levels(), np.uint8(255 if frames.bits == 1 else 1)
 
     def packer(self, batch: int) -> DevicePacker | None:

@@ -22,12 +22,12 @@ from vamgpu.hosts.schedules.schedule import NONE
 log: logging.Logger = logging.getLogger(__name__)
 NAP = 2_000_000  # sleep of a thread when mirrors have no room [ns]
 BUFFERS = 2  # number of buffers of prepared frames, each as long as a sequence of the mirrors
-GUARD = 0.06  # time ahead of the counter at which a missing frame is given up [s]: three polls of the print
+GUARD = 0.06  # time before its slot at which a missing frame is given up [s]: three polls of the print
 HELD = 2**28  # most bytes of a sequence, for rates at which a second of frames is too much for a host
 
 
 def guard(rate: float) -> int:
-    """Frames ahead of the counter at which a missing one is given up, for a rate per second."""
+    """Number of slots before its own at which a missing frame is given up, for a rate per second."""
     return max(2, math.ceil(GUARD * rate))
 
 
@@ -39,7 +39,7 @@ def length(rate: float, nbytes: int) -> int:
 class FrameMemory(Protocol):
     """Mirrors that take frames ahead of their time and show one per trigger."""
 
-    # whether ``put`` of the frames would not wait; with a name, ``again``
+    # whether ``put`` of the frames, or ``again`` of a name, would return at once
     def room(self, frames: int = 2, name: bytes | None = None) -> bool: ...
     # append frames [frame, …]; returns once their buffer may be used again
     def put(self, planes: np.ndarray, name: bytes | None = None) -> None: ...
@@ -59,12 +59,6 @@ class UploadQueue:
     may be replaced. Two threads pack and upload; without them ``pump`` does both, and repeats exactly.
     """
 
-    batch: int
-    uploaded: int
-    made: int
-    ahead: int
-    share: float
-
     def __init__(
         self, packer: PlanePacker, order: np.ndarray, memory: FrameMemory, clock: Clock, *, batch: int = 8,
         depth: int = 8, poses: np.ndarray | None = None, policy: LatePolicy | None = None, guard: int = 2,
@@ -83,7 +77,11 @@ class UploadQueue:
         self._limit = len(self._order)
         self._look_ahead(0)
         self.ring: BufferRing = BufferRing(pinned_buffers(depth, (batch, *packer.shape), packer.device))
-        self.batch, self.uploaded, self.made, self.ahead, self.share = batch, 0, 0, 0, 0.0
+        self.batch = batch
+        self.uploaded: int = 0
+        self.made: int = 0
+        self.ahead: int = 0
+        self.share: float = 0.0
         self.arrived: np.ndarray = np.full(len(self._order), NONE, np.int64)
         self.late: set[int] = set()  # slots that were black
         self._black = pinned_buffers(1, (1, *packer.shape), packer.device)[0]
@@ -111,7 +109,6 @@ class UploadQueue:
         finally:
             self._sending.release()
 
-    # ---- one step of each thread ---------------------------------------------------------------------------
     def make(self, timeout: float = 0.0) -> bool:
         """Pack the next frames if a buffer is free within ``timeout`` seconds."""
         if self.made >= self._limit or (buffer := self.ring.claim(timeout)) is None:
@@ -147,7 +144,7 @@ class UploadQueue:
             self._limit = min(len(self), ends.horizon(begin + shown) - begin)
 
     def _name(self, first: int, count: int) -> bytes | None:
-        """The name of frames at the mirrors, from place in the turn and numbers: no sequence is queued twice."""
+        """The name of frames at the mirrors, from their place in the turn and their numbers: none is queued twice."""
         if self._turn is None:
             return None
         turn = self._turn if self._boundaries is None else self._boundaries.turn
@@ -183,7 +180,7 @@ class UploadQueue:
         return True
 
     def black(self) -> int | None:
-        """Show black in place of the next frame; its slot, or None if frames are ready or there is no room."""
+        """Show black in place of the next frame; returns its slot, or None if frames are ready or the ring is full."""
         if not self._sending.acquire(blocking=False):
             return None
         try:
@@ -214,7 +211,6 @@ class UploadQueue:
             pass
         return self.uploaded - before
 
-    # ---- during a print ------------------------------------------------------------------------------------
     def prime(self) -> None:
         """Raise the error of a thread; without threads, pack and upload while there is room."""
         self.check()
@@ -245,7 +241,7 @@ class UploadQueue:
 
     @contextmanager
     def replaceable(self, slot: int) -> Iterator[bool]:
-        """Hold the queue; whether neither frames nor black are packed for a slot and those after it."""
+        """Hold the queue; yield True if neither a frame nor black is packed yet from a slot on."""
         with self._packing:
             yield max(self._taken, self.uploaded) <= slot + self._preroll
 
@@ -276,7 +272,6 @@ class UploadQueue:
         self._memory.cancel()
         self._memory.close(hung=not self.stop())
 
-    # ---- threads -------------------------------------------------------------------------------------------
     def start(self) -> None:
         """Start threads that pack and upload."""
         jobs = {"pack": self._making, "upload": self._uploading}

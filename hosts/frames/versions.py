@@ -61,21 +61,16 @@ class FrameVersions:
     thread may `swap`; the printing thread commits or drops the offered version.
     """
 
-    count: int
-    turns: int
-    allowance: float
-    unit: str
-    slots: int
-    frames: int
-
     def __init__(
         self, sources: Sequence[FrameSource], count: int, turns: int, *, allowance: float = 0.0,
         unit: Literal["turn", "segment"] = "turn", slots: int | None = None,
     ) -> None:  # fmt: skip
-        self.count, self.turns = whole("count", count), whole("turns", turns)
-        self.unit, self.slots = unit, self.count * self.turns if slots is None else whole("slots", slots)
-        self.frames = self.count if unit == "turn" else self.slots  # in the numbers of a version
-        self.allowance = positive("allowance of light", allowance, zero=True)
+        self.count: int = whole("count", count)
+        self.turns: int = whole("turns", turns)
+        self.unit: str = unit
+        self.slots: int = self.count * self.turns if slots is None else whole("slots", slots)
+        self.frames: int = self.count if unit == "turn" else self.slots  # in the numbers of a version
+        self.allowance: float = positive("allowance of light", allowance, zero=True)
         self._lock = threading.Lock()
         self._versions = {0: FrameVersion(0, tuple(sources), 0)}
         self._light = {0: 1.0}
@@ -86,7 +81,6 @@ class FrameVersions:
         self.stop: int | None = None
         self.sources: tuple[VersionedFrames, ...] = tuple(VersionedFrames(self, k) for k in range(len(sources)))
 
-    # ---- from any thread -------------------------------------------------------------------------------------
     def swap(
         self, sources: Sequence[FrameSource], turn: int, *, light: float = 1.0, stop: int | None = None,
         number: int | None = None, until: int | None = None,
@@ -152,7 +146,6 @@ class FrameVersions:
             raise BadInput(f"the frames of version {number} are not stored; there are {sorted(self._versions)}")
         return version.sources[engine]
 
-    # ---- the printing thread -----------------------------------------------------------------------------------
     @property
     def end(self) -> int:
         """The slot before which the light ends, without added turns."""
@@ -215,7 +208,6 @@ class FrameVersions:
             for source in self.sources:
                 source.forget(wanted)
 
-    # ---- numbers -----------------------------------------------------------------------------------------------
     def split_number(self, number: int) -> tuple[int, int]:
         """Version and frame of a number in a queue."""
         return (0, number) if number == NONE else divmod(number, self.frames)
@@ -233,11 +225,9 @@ class FrameVersions:
 class VersionedFrames:
     """The frames of one projector by their numbers in a queue; a `FrameSource`."""
 
-    bits: int
-
     def __init__(self, versions: FrameVersions, engine: int) -> None:
         self._versions, self._engine = versions, engine
-        self.bits = versions.source(0, engine).bits
+        self.bits: int = versions.source(0, engine).bits
         self._packer: VersionedPacker | None = None
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:

@@ -95,7 +95,7 @@ def _measured(found: Calibration) -> RedCamera:
 
 
 def unmeasured(planned: PrintPlan) -> str:
-    """What a print on real machines assumes of its camera although nobody measured it; empty if nothing."""
+    """Unmeasured properties of the camera that a print on real machines assumes; empty if there are none."""
     found = in_force(planned.rig).get(KIND)
     if planned.rehearsed or found is None or "turbidity" in found.tables()[MEASURED]:
         return ""

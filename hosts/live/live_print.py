@@ -27,7 +27,6 @@ from vamgpu.hosts.schedules.timing import whole
 from vamgpu.jobs.run import prove
 from vamgpu.live import LiveRecord, LiveSetup, Truth
 from vamgpu.optics.vial import Vial
-from vamgpu.printing.frames import Frames
 from vamgpu.quantity import counted
 
 FOLLOW = "vamgpu.hosts.live.planner:follow"
@@ -68,10 +67,6 @@ class Watched:
         return "\n".join(rows if self.iou is None else [*rows, f"proved overlap {self.iou:.4f}"])
 
 
-def _begins(turn: int | None) -> str:
-    return "not shown" if turn is None else f"from turn {turn} on"
-
-
 @dataclass(frozen=True, eq=False)
 class WatchedPlan:
     """A plan, and the order of the process that plans its coming turns."""
@@ -89,10 +84,10 @@ def live(
 ) -> Watched:  # fmt: skip
     """Print a vial while a camera watches it, and replan the remaining patterns after every turn.
 
-    A separate process holds the light of real machines, and prints on if this one ends.
+    A separate process holds the light of real machines, and continues printing if this one ends.
 
     Args:
-        job: A folder from `vam solve`: a round vial in even light, at even angles over a full turn.
+        job: A folder from `vam solve`: a round vial in uniform light, at even angles over a full turn.
         rig: The TOML file of the rig, which has a camera, or "emulated".
         camera: The camera and the model of its resin; by default as `vam calibrate live` measured it, or those of the
             emulated rig.
@@ -143,9 +138,11 @@ def watched_plan(
     planned = plan(job, rig, speed=speed, turns=longest, exposure=False, rehearsed=rehearsed, device=device)
     if truth is not None and not (isinstance(truth, Truth) and planned.rehearsed):
         raise BadInput(f"truth is {truth!r}; expected a Truth, and only for emulated resin")
-    frames, A, threshold = _even_vial(planned, Path(job))
+    frames, proof = planned.jobs[0].frames, prove(job).proof
+    A: Any = proof.operator
+    assert frames is not None and isinstance(A.vessel, Vial)
     camera = camera_of(planned, camera, A.beam.pitch)
-    dose = camera.resin.solid / threshold
+    dose = camera.resin.solid / proof.scores.threshold
     light = light_of(frames, turns, dose)
     open_field, noise, view = camera.on_beam(planned, A.beam.pixels)
     setup = LiveSetup(
@@ -159,13 +156,6 @@ def watched_plan(
     settings = {"setup": asdict(setup), "view": None if view is None else asdict(view), "noise": asdict(camera.noise)}
     resin = {"truth": asdict(truth or Truth()), "seed": seed} if planned.rehearsed else None
     return WatchedPlan(planned, LiveOrder(FOLLOW, settings=settings, stop=turns, wait=WAIT, resin=resin), setup, light)
-
-
-def _even_vial(planned: PrintPlan, path: Path) -> tuple[Frames, Any, float]:
-    """Frames, operator, and threshold of the method's dose, of a round vial with uniform light."""
-    frames, proof = planned.jobs[0].frames, prove(path).proof
-    assert frames is not None and isinstance(proof.operator.vessel, Vial)
-    return frames, proof.operator, proof.scores.threshold
 
 
 def _real(made: WatchedPlan, job: Path, place: Path, board: Board | None) -> Watched:

@@ -1,4 +1,4 @@
-"""What a watched print needs of its job and its rig, checked before anything is proved, opened or lit."""
+"""Requirements of a watched print, checked before anything is proved, opened or lit."""
 
 from __future__ import annotations
 
@@ -62,15 +62,16 @@ def _geometry(job: Path) -> dict[str, Any]:
 def _of_a_vial(geometry: dict[str, Any]) -> Guarantee:
     vessel = geometry.get("vessel")
     kind = vessel.get("kind") if isinstance(vessel, dict) else None
-    holds = "kind" not in geometry and kind == "vial"
-    why = "the job is for a round vial in even light" if holds else "the job is not for a round vial in even light"
-    return _need("job", holds, why, "solve one with [vial], and without scattering, inserts or a second color")
+    holds = "kind" not in geometry and kind == "vial" and "travel" not in geometry.get("turntable", {})
+    why = f"the job is {'' if holds else 'not '}for a part at rest in a round vial in uniform light"
+    remedy = "solve one with [vial], and without scattering, inserts, a second color or [travel]"
+    return _need("job", holds, why, remedy)
 
 
 def _angles(geometry: dict[str, Any]) -> int:
     """Number of evenly spaced angles of a full turn; 0 if they are not."""
     try:
-        motion = turntable_from(geometry["turntable"])
+        motion = turntable_from(geometry["turntable"]).along(None)
     except (KeyError, TypeError, ValueError, StorageError):
         return 0
     return motion.angles if motion.is_even else 0
@@ -96,6 +97,6 @@ def _at_rest(setup: RigFile, speed: float, angles: int) -> Guarantee:
     assert setup.camera is not None
     exposure, most = setup.camera.exposure, STILL * 360.0 / angles
     turned = speed * exposure
-    return _need("images", turned <= most, f"the vial turns by {turned:.3g} deg during an image, of {most:.3g} deg "
-                 "from angle to angle", f"expose at most {1e3 * most / speed:.3g} ms in [[feedback]], or turn at "
-                 f"{most / exposure:.3g} deg/s at most")  # fmt: skip
+    return _need("images", turned <= most, f"the vial turns by {turned:.3g} deg during an image; expected "
+                 f"{most:.3g} deg at most, the step between angles", f"expose at most {1e3 * most / speed:.3g} ms in "
+                 f"[[feedback]], or turn at {most / exposure:.3g} deg/s at most")  # fmt: skip

@@ -61,7 +61,7 @@ def follow(planner: PlannerClient) -> None:
 class Following:
     """One monitored print, from its start or from where an earlier host left it.
 
-    The planner's settings are those of a `LiveSetup`, and the view of a camera whose pixels are not the beam's.
+    The planner's settings are a `LiveSetup`, and the camera's view if its pixels are not the beam's.
     """
 
     def __init__(self, planner: PlannerClient) -> None:
@@ -85,7 +85,7 @@ class Following:
         self._state = self._restored() if self._resumed else self._loop.start()
 
     def _restored(self) -> LiveState:
-        """The state after the recorded turns, whose decisions are repeated; the last one holds meanwhile."""
+        """The state after the recorded turns, from their repeated decisions; the last one stays in effect."""
         told, state, numbers = self._record.decisions, self._loop.start(), {0: 0}
         for was, (after, decision) in zip(told, self._record.states(self._loop), strict=True):
             state, self._over = after, decision.action == "stop"
@@ -164,12 +164,12 @@ class Following:
             self._planner.estimate(self._found(decision), self._maps(decision))
 
     def _found(self, decision: Decision) -> list[Any]:
-        """Parameters with their deviations, and two prior deviations on either side of the plan; facts."""
+        """Parameters with deviations and expected ranges (the plan's value ± two prior deviations), and facts."""
         prior, induction = self._loop.prior, self._setup.resin.induction
-        usual = [(mean - 2.0 * s, mean + 2.0 * s) for mean, s in zip(prior.mean, np.sqrt(np.diag(prior.covariance)),
-                                                                     strict=True)]  # fmt: skip
-        found = [(name, *pair, *usual[NAMES.index(name)]) for name, pair in decision.parameters.items()]
-        less, more = (1.0 - each / induction for each in usual[NAMES.index("initial_dose")])
+        names, sigma = (*NAMES, "turbidity"), [*np.sqrt(np.diag(prior.covariance)), self._setup.turbidity.error]
+        usual = {name: (m - 2.0 * s, m + 2.0 * s) for name, m, s in zip(names, [*prior.mean, 1.0], sigma, strict=True)}
+        found = [(name, *pair, *usual.get(name, ())) for name, pair in decision.parameters.items()]
+        less, more = (1.0 - each / induction for each in usual["initial_dose"])
         error = decision.parameters["initial_dose"][1] / induction
         facts = ("estimated after turn", decision.turn), ("expected stop [turn]", decision.turn + 1 + decision.turns)
         return [

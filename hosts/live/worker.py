@@ -27,11 +27,9 @@ class PlannerClient:
             ``bits``; ``projectors``; ``period`` of one [s]; ``folder`` of the run; ``settings`` of the order.
     """
 
-    task: dict[str, Any]
-
     def __init__(self, line: Connection) -> None:
         self._line = line
-        self.task = receive(line)["task"]
+        self.task: dict[str, Any] = receive(line)["task"]
 
     def receive(self, timeout: float | None = None) -> dict[str, Any] | None:
         """Wait for the next message.
@@ -91,7 +89,7 @@ class PlannerClient:
 
         Args:
             checks: Name, turns shown so far, value and limit of each.
-            doubt: Why images no longer decide, for the record, once; empty if they do.
+            doubt: Reason why the images are no longer used, for the record, once; empty if they are.
         """
         self.tell({"checks": [list(each) for each in checks], "doubt": doubt})
 

@@ -6,7 +6,9 @@ import ipaddress
 import secrets
 import socket
 import time
+from base64 import b64encode
 from collections import deque
+from hashlib import sha256
 from http.cookies import CookieError, SimpleCookie
 from math import inf
 from typing import Any
@@ -26,8 +28,14 @@ HEADERS = {
     "cache-control": "no-store",
 }
 """Headers of every answer that does not set its own. The page has no inline scripts or styles."""
-# After a link from another site, a redirect does not carry strict cookies; a page that reloads itself does.
-ENTER = b'<!doctype html><meta http-equiv="refresh" content="0;url=/"><title>vamgpu</title><a href="/">The page</a>'
+# After a link from another site, a redirect does not carry strict cookies; a page that reloads itself does. Its script
+# keeps the part of the address behind #, which names a tab.
+SCRIPT = b'location.replace("/" + location.hash)'
+ENTER = (b'<!doctype html><title>vamgpu</title><script>' + SCRIPT + b'</script><noscript><meta http-equiv="refresh" '
+         b'content="0;url=/"></noscript><a href="/">The page</a>')  # fmt: skip
+ENTERING = (
+    b"default-src 'none'; script-src 'sha256-" + b64encode(sha256(SCRIPT).digest()) + b"'; frame-ancestors 'none'"
+)
 REFUSED = "open this page with the address printed at its start, which contains the token"
 LOCKED = "too many wrong tokens came from this address; wait a minute, then open the printed address"
 
@@ -50,12 +58,10 @@ def _number(name: str) -> bool:
 class TokenAuth:
     """Admits requests that use this machine's own names, with the token or with a browser's cookie made from it."""
 
-    app: Any
-    token: str
-    cookie: str
-
     def __init__(self, app: Any, token: str, host: str = "localhost", port: int = 0, chosen: bool = True) -> None:
-        self.app, self.token, self.cookie = app, token, f"vam-{port}"
+        self.app = app
+        self.token = token
+        self.cookie: str = f"vam-{port}"
         self._most = WRONG if chosen else inf  # nobody guesses a random one, and accounts share this machine's address
         own = socket.gethostname().lower()
         self._names = {host.lower(), "localhost", own, f"{own}.local", socket.getfqdn().lower()}
@@ -102,7 +108,8 @@ class TokenAuth:
         self._once.discard(given)
         self._browsers.append(made := secrets.token_urlsafe(32))
         cookie = f"{self.cookie}={made}; HttpOnly; SameSite=Strict; Path=/".encode()
-        return await _answer(send, 200, ENTER, (b"set-cookie", cookie), b"text/html; charset=utf-8")
+        headers = ((b"set-cookie", cookie), (b"content-security-policy", ENTERING))
+        return await _answer(send, 200, ENTER, *headers, kind=b"text/html; charset=utf-8")
 
     def _addressed(self, headers: dict[bytes, str]) -> bool:
         """Whether a request names this machine, and does not come from a page of another site."""
@@ -141,9 +148,7 @@ class TokenAuth:
         return answer
 
 
-async def _answer(
-    send: Any, status: int, body: bytes, more: tuple[bytes, bytes] | None = None, kind: bytes = b"text/plain"
-) -> None:
-    headers = [(b"content-type", kind), *([] if more is None else [more])]
+async def _answer(send: Any, status: int, body: bytes, *more: tuple[bytes, bytes], kind: bytes = b"text/plain") -> None:
+    headers = [(b"content-type", kind), *more]
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

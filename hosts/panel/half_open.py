@@ -1,4 +1,4 @@
-"""Connections whose requests never become whole are closed, so that they cannot use up the server."""
+"""Connections with requests that never become complete are closed: they would use up the server."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ REPORT = re.compile(r"(live|report(-\d+)?)\.html")
 
 
 def past(place: Path, own: str | None = None) -> list[dict[str, Any]]:
-    """The prints in a folder, newest first, from their small files, without unreadable ones. own: is not asked."""
+    """The prints in a folder, newest first, from their small files, without unreadable ones. own: this print."""
     found = []
     try:
         folders = [(each.stat().st_mtime, each.parent) for each in place.glob("*/state.json")]

@@ -40,10 +40,9 @@ FILES = {
 class RateLimit:
     """The pause of a page between polls [s], by the number of polls in the last second."""
 
-    wait: float
-
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._since, self._polls, self.wait = clock, clock(), 0, PERIOD
+        self.wait: float = PERIOD
+        self._clock, self._since, self._polls = clock, clock(), 0
 
     def count(self) -> float:
         """Count a poll of a page. Programs are not counted: one that polls without a pause would block the pages."""

@@ -23,10 +23,6 @@ PORTS = 65535
 class PageServer:
     """A web server in a separate thread, behind `TokenAuth`; a context manager."""
 
-    host: str
-    port: int
-    token: str
-
     def __init__(self, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> None:
         if not isinstance(host, str):
             raise BadInput(f"the panel's host is {host!r}; expected a name or address, such as '127.0.0.1'")
@@ -35,13 +31,13 @@ class PageServer:
         if token is not None and (not isinstance(token, str) or len(token) < 16):
             raise BadInput("the panel's token is not text of 16 characters or more; leave it out to generate one")
         self.host = host
-        self.token = secrets.token_urlsafe(24) if token is None else token
+        self.token: str = secrets.token_urlsafe(24) if token is None else token
         self._chosen = token is not None
         self._server, self._thread = None, None
         self._auth: TokenAuth | None = None
         self._failed: BaseException | None = None
         self._socket = _listening(host, int(port))
-        self.port = int(self._socket.getsockname()[1])
+        self.port: int = int(self._socket.getsockname()[1])
 
     @property
     def url(self) -> str:
@@ -131,19 +127,16 @@ class Panel(PageServer):
         DeviceError: The extra is missing, the port is taken, or the server does not start.
     """
 
-    board: Board
-    page: bool
-    runs: Path | None
-    run: str | None
-
     def __init__(
         self, board: Board, host: str = "127.0.0.1", port: int = 0, token: str | None = None, page: bool = True, *,
         runs: str | Path | None = None, run: str | None = None,
     ) -> None:  # fmt: skip
         if not isinstance(board, Board):
             raise BadInput(f"the panel's board is {board!r}; expected the Board of a print")
-        self.board, self.page = board, page
-        self.runs, self.run = None if runs is None else Path(runs), run
+        self.board = board
+        self.page = page
+        self.runs: Path | None = None if runs is None else Path(runs)
+        self.run = run
         super().__init__(host, port, token)
 
     def app(self) -> Any:

@@ -60,7 +60,6 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         gate = LampGate(self.machines.controller, range(self.schedule.engines), shares=self.schedule.power[0])
         return gate, gate.renew
 
-    # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Fill mirrors and buffers, bring the motion to its speed, queue black frames and first rows."""
         controller = self.machines.controller
@@ -107,7 +106,6 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         lost = {} if self._lost is None else {"lost": self._lost}
         return {"origin": self._origin.at, "preroll": PREROLL} | own | lost
 
-    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Let the controller play its rows."""
         self._polled = self.clock.now()
@@ -140,7 +138,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
     def _fault(self, status: Status) -> str | None:
         """Why the controller is not reliable."""
         if status.state == "fault":
-            return f"the controller closed the light: {CLOSED.get(status.fault, status.fault)}"
+            return f"the controller switched the light off: {CLOSED.get(status.fault, status.fault)}"
         if why := self._forgotten(status):
             return why
         if status.late:
@@ -172,7 +170,6 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
             return self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
         return self._rows.row(self._first + number - PREROLL, number)
 
-    # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """End after the present frame, so that none is cut."""
         controller = self.machines.controller

@@ -38,7 +38,7 @@ class StopRule:
 
 
 class ScatterWatch:
-    """Watches one print, from before its light to its end; a context. It writes ``scatter.csv``: seconds, density."""
+    """Watches a print from before its light to its end; a context manager. Writes ``scatter.csv``: seconds, density."""
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, wanted: StopRule, folder: RunFolder, lit: Callable[[], float], *,
@@ -62,7 +62,6 @@ class ScatterWatch:
             self._file = (folder.path / "scatter.csv").open("w", buffering=1, encoding="utf-8")
             self._file.write("seconds,density\n")
 
-    # ---- around the print ------------------------------------------------------------------------------------
     def begin(self) -> None:
         """Take the background, in the dark. Raises `DeviceLost`, and `BadInput` if it is overexposed."""
         self._camera.expose(1e6 * self._wanted.exposure)
@@ -114,7 +113,6 @@ class ScatterWatch:
             self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
             self._thread.start()
 
-    # ---- called by the print ---------------------------------------------------------------------------------
     def enough(self) -> str | None:
         """Why the part has enough light; None before. Raises the error of the camera or the disk."""
         if self._origin is None and (lit := self._lit()) >= 0:
@@ -143,7 +141,6 @@ class ScatterWatch:
         if self._thread is not None and age > self._patience:
             raise DeviceLost(f"the camera gave no image for {age / SECOND:.2g} s; check its cable and its exposure")
 
-    # ---- images --------------------------------------------------------------------------------------------
     def _run(self) -> None:
         """Take all images of the camera, so that none is old, and evaluate some."""
         try:

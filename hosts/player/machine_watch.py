@@ -12,7 +12,7 @@ from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
 PERIOD = SECOND // 2  # between two questions [ns]
-LAG = PERIOD // 4  # time of frames without a voucher after which it is asked at each poll [ns]
+LAG = PERIOD // 4  # time of unconfirmed frames after which a machine is asked at each poll [ns]
 SLACK = SECOND // 100  # error of the times of polls and answers [ns]
 STEP = 0.005  # of focal powers [1/m]
 
@@ -20,18 +20,17 @@ STEP = 0.005  # of focal powers [1/m]
 class MachineWatch:
     """Asks the machines. ask: raises `DeviceError`; returns fields of a snapshot, ``focus`` is the lens's power [1/m].
 
-    A lens that stands still may be where it should by chance: it vouches only for frames of its power, and by another
-    power than at the last answer for those up to the first frame that needed it.
+    A lens that does not move may be right by chance: its answer vouches only for frames that need its power. If its
+    power has changed since the last answer, it also vouches for earlier frames, up to the first that needs this power.
     """
 
     vouched: int  # slot before which all machines did their work
-    silent: bool  # whether one of them did not
 
     def __init__(self, ask: Callable[[], Mapping[str, object]], clock: Clock) -> None:
         self._ask, self._clock = ask, clock
         self._first = self._due = self._slot = self._before = self._seen = self._slot_asked = self.vouched = 0
         self._power: float | None = None
-        self.silent = False
+        self.silent: bool = False  # whether one of them did not
 
     def begin(self, first: int) -> Mapping[str, object]:
         """Ask in the dark, before a slot, when a lens may be at any power."""
@@ -52,7 +51,7 @@ class MachineWatch:
         told = self._asked()
         power = told.get("focus")
         if slot <= self._first or not isinstance(power, float) or np.isnan(schedule.focus[slot - 1]):
-            self.vouched = self.vouched if over else slot  # a lamp that is off no longer tells of its light
+            self.vouched = self.vouched if over else slot  # a lamp that is off no longer reports its light
             return self._done(told)
         window = int(schedule.light[slot - 1]) + self._clock.now() - self._before + SLACK
         coming = np.flatnonzero((schedule.command != NONE) & (schedule.command <= window))
@@ -63,9 +62,9 @@ class MachineWatch:
             raise DeviceError(f"the lens is at {power:.3f} dpt; expected {wanted}: check the line that sets it")
         last = max(near) + 1
         if (np.abs(schedule.focus[self.vouched : last] - power) <= STEP).all():
-            self.vouched = slot  # it need not have moved
+            self.vouched = slot  # these frames need one power
         elif self._power is not None and abs(power - self._power) > STEP:
-            start = max(self._slot_asked - 1, 0)  # it moved since the last answer, for the first such slot at least
+            start = max(self._slot_asked - 1, 0)  # it has moved since the last answer
             reached = start + int(np.argmax(np.abs(schedule.focus[start:last] - power) <= STEP))
             self.vouched = min(max(self.vouched, reached + 1), slot)
         self._power, self._slot_asked = power, slot

@@ -39,6 +39,7 @@ class MirrorMachines:
     microsteps: float  # microsteps of the motion per unit of the schedule
     lens: Lens | None = None
     camera: CameraDriver | None = None  # camera that watches the resin
+    lift: Stage | None = None  # stage that raises the vial
 
 
 class TriggeringStage(Stage, Protocol):
@@ -61,6 +62,7 @@ class StageMachines:
     lamp: Lamp | None = None  # lamp that the host switches; None: dark mirrors switch it off
     lens: Lens | None = None
     camera: CameraDriver | None = None
+    lift: Stage | None = None  # stage that raises the vial
 
 
 class Lamps:
@@ -92,7 +94,7 @@ def gate(
 
 def late_policy(schedule: Schedule) -> LatePolicy:
     """The policy for late frames of a web or a vial."""
-    return VialLatePolicy(schedule.frames) if schedule.unit == "deg" else WebLatePolicy()
+    return VialLatePolicy(schedule.frames) if schedule.repeats else WebLatePolicy()
 
 
 def shows(schedule: Schedule) -> None:
@@ -112,15 +114,14 @@ RATES = 0.01  # greatest difference between the expected refresh and that of the
 
 @runtime_checkable
 class Limited(Protocol):
-    """A stage that tells its travel."""
+    """A stage that reports its travel."""
 
     def travel(self) -> tuple[float, float]: ...  # least and greatest position
-    def position(self) -> float: ...  # the reported position
 
 
 @runtime_checkable
 class Inspected(Protocol):
-    """A lamp that tells whether it does its work."""
+    """A lamp that reports whether it works."""
 
     def inspect(self) -> None: ...  # raises `DeviceError` if not
 
@@ -137,6 +138,7 @@ class VideoMachines:
     camera: CameraDriver | None = None
     lamp: Lamp | None = None  # lamp that the host switches; None: black frames turn it off
     lens: Lens | None = None
+    lift: Stage | None = None  # stage that raises the vial
 
     def check(self, schedule: Schedule, display: HdmiTiming) -> None:
         """Raise `BadInput` for a schedule without whole turns or a web, `WrongDevice` for one of another projector."""
@@ -176,16 +178,19 @@ def senses(machines: Machines) -> dict[str, bool | float | None]:
 
 
 def within_travel(schedule: Schedule, machines: Machines) -> None:
-    """Raise `BadInput` for a web that leaves the travel of its stage, where the stage tells it."""
-    if schedule.unit != "mm" or isinstance(machines, MirrorMachines) or not isinstance(machines.stage, Limited):
-        return
-    (low, high), here = machines.stage.travel(), machines.stage.position()
-    begin, end = here - machines.run_up * float(schedule.speed), here + float(schedule.advance) * len(schedule)
+    """Raise `BadInput` for a web that leaves the travel of its stage, if the stage reports it."""
+    if schedule.unit == "mm" and not isinstance(machines, MirrorMachines):
+        here, speed = machines.stage.position(), float(schedule.speed)
+        end = here + float(schedule.advance) * len(schedule)
+        reaches(machines.stage, here - machines.run_up * speed, end, "the web", "motion")
+
+
+def reaches(stage: Stage, begin: float, end: float, what: str, table: str) -> None:
+    """Raise `BadInput` if a stage reports that it does not go from one position to another [mm]."""
+    low, high = stage.travel() if isinstance(stage, Limited) else (begin, end)
     if begin < low or end > high:
-        raise BadInput(
-            f"the web moves from {begin:.4g} to {end:.4g} mm, with its run-up; the stage reports that it goes from "
-            f"{low:.4g} to {high:.4g} mm: move it to its start, or check microsteps in [motion]"
-        )
+        raise BadInput(f"{what} moves from {begin:.4g} to {end:.4g} mm, with its run-up, and the stage reports that it "
+                       f"goes from {low:.4g} to {high:.4g} mm: move it, or check microsteps in [{table}]")  # fmt: skip
 
 
 def inspect(machines: Machines) -> dict[str, float]:

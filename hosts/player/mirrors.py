@@ -38,9 +38,6 @@ class MirrorPlayer(ABC, Generic[M]):
     depth: frames per sequence.  sequences: number of sequences.  turn: slots that fit in them, uploaded once.
     """
 
-    schedule: Schedule
-    machines: M
-    clock: Clock
     lamp: Lamp
     renew: Renew
 
@@ -54,7 +51,9 @@ class MirrorPlayer(ABC, Generic[M]):
                 f"the schedule is for {schedule.engines} projectors, the rig has {len(machines.mirrors)} and frames "
                 f"are for {len(sources)}; choose the rig of the job"
             )
-        self.schedule, self.machines, self.clock = schedule, machines, machines.clock
+        self.schedule: Schedule = schedule
+        self.machines = machines
+        self.clock: Clock = machines.clock
         shows(schedule)
         self.lamp, self.renew = self._gate()
         self.switches: Mapping[str, Switch] = {f"mirrors {k}": dmd for k, dmd in enumerate(machines.mirrors)}
@@ -78,7 +77,6 @@ class MirrorPlayer(ABC, Generic[M]):
     def _triggered(self) -> int:
         """Frames of this run segment that may have been triggered, in the dark."""
 
-    # ---- before the light ------------------------------------------------------------------------------------
     def _fill(self, first: int, alive: Callable[[], None]) -> None:
         on = int(self.schedule.on[0]) // 1000
         self._close()
@@ -111,7 +109,6 @@ class MirrorPlayer(ABC, Generic[M]):
         """Boundaries for versions: a sequence of the mirrors is filled while the one before it is shown."""
         return None if self.versions is None else Boundaries(self.versions.count, self._first, guard + self._depth)
 
-    # ---- during the light ----------------------------------------------------------------------------------
     def _since(self, shown: int) -> tuple[FrameRecord, ...]:
         """The frames shown since the last poll; their lateness is an upper bound."""
         first, table, found = self._first, self.schedule, []
@@ -120,7 +117,7 @@ class MirrorPlayer(ABC, Generic[M]):
             for engine, queue in enumerate(self._queues):
                 number, dark = int(self._orders[engine][slot]), queue.was_black(slot - first)
                 version, frame = (0, number) if self.versions is None else self.versions.split_number(number)
-                if dark and frame != NONE and table.unit == "deg":
+                if dark and frame != NONE and table.repeats:
                     self._missed[engine].miss(frame, version)
                 on = 0 if frame == NONE else int(table.on[slot])
                 found.append(
@@ -168,7 +165,6 @@ class MirrorPlayer(ABC, Generic[M]):
     def pending_versions(self) -> set[int]:
         return set().union(*(each.missed for each in self._missed))
 
-    # ---- after the light -------------------------------------------------------------------------------------
     def doubtful(self) -> range:
         """The present frame, frames since rows were late, and with a dead line all that may have been triggered."""
         sure = min(self._kept, self._punctual)

@@ -48,9 +48,6 @@ class Origin:
 class SpeedMonitor:
     """A motion's error in poses over the last second. microsteps: microsteps per unit of the schedule's positions."""
 
-    last: float
-    span: int
-
     def __init__(self, schedule: Schedule, microsteps: float = 1.0) -> None:
         self._per_pose = float(schedule.advance) * microsteps
         self._period = float(schedule.cadence.period)
@@ -59,7 +56,8 @@ class SpeedMonitor:
     def restart(self) -> None:
         """Clear the readings."""
         self._seen: deque[tuple[int, float]] = deque()
-        self.last, self.span = 0.0, 0
+        self.last: float = 0.0
+        self.span: int = 0
 
     def error(self, now: int, position: float) -> float:
         """The error [poses] at a position, kept in ``last``, with its measuring time [ns] in ``span``."""
@@ -72,7 +70,7 @@ class SpeedMonitor:
 
 
 class Approach:
-    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back, to rest its resin."""
+    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back and stirs its resin."""
 
     def __init__(self, schedule: Schedule, controller: Controller, clock: Clock, microsteps: float) -> None:
         self._schedule, self._controller, self._clock = schedule, controller, clock
@@ -127,7 +125,7 @@ class Approach:
         return mark
 
     def to(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
-        """Run at the speed with a time [ns] still ahead; returns the position of pose 0. Raises `InterlockOpen`."""
+        """Reach the speed before a time [ns]; returns the position of pose 0. Raises `InterlockOpen`."""
         run_up = self._run_up
         for _ in range(RUN_UPS):
             origin = replace(origin, at=self._back(time, origin.at, run_up, alive))

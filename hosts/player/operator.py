@@ -21,7 +21,7 @@ LEAVE = 1.0  # longest time for the thread to end [s]
 
 
 class Viewer:
-    """Draws the shown frames as the board's previews; a context. frame: by number and projector, [row, column]."""
+    """Draws shown frames as the board's previews; a context manager. frame: (number, projector) → [row, column]."""
 
     def __init__(self, board: Board, frame: Callable[[int, int], np.ndarray], engines: int = 1) -> None:
         self._board, self._frame, self._engines = board, frame, engines

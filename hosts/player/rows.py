@@ -15,7 +15,7 @@ MICRO = 1000
 
 @dataclass(frozen=True)
 class RowTable:
-    """Rows by slot. A row acts at the position of its lens command, or else of its light."""
+    """Rows by slot. A row acts at the position of its lens command; without one, at that of its light."""
 
     schedule: Schedule
     microsteps: float  # microsteps of the motion per unit of the schedule's positions
@@ -58,7 +58,7 @@ def steppable(schedule: Schedule, microsteps: float) -> None:
         most, unit = FASTEST / microsteps, f"{schedule.unit}/s"
         raise TimingInfeasible(
             f"{float(schedule.speed):.4g} {unit} are {rate:.4g} microsteps/s, and the controller steps at most "
-            f"{FASTEST:.4g}: move at most at {most:.4g} {unit}, or set fewer microsteps at the motor's driver and in "
+            f"{FASTEST:.4g}: move at {most:.4g} {unit} or slower, or set fewer microsteps at the motor's driver and in "
             "[motion]",
             "motor", most, unit,
         )  # fmt: skip

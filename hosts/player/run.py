@@ -63,12 +63,6 @@ class Print:
     plan, if it is known.
     """
 
-    player: Player
-    folder: RunFolder
-    limits: SafetyLimits
-    power: float
-    board: Board
-    states: PrintStates
     next: int
     holds: int
 
@@ -81,10 +75,14 @@ class Print:
     ) -> None:  # fmt: skip
         if (share := positive("power", power)) > 1:
             raise BadInput(f"power is {power!r}; expected a share of the schedule's: at most 1")
-        self.player, self.folder, self.limits, self.power = player, folder, limits, share
+        self.player = player
+        self.folder = folder
+        self.limits = limits
+        self.power: float = share
         self._enough, self._short, self._recover, self._live = enough, short, recover, live
         self._senses, self._sensed, self._watch = senses, -SIGN, MachineWatch(watch, player.clock)
-        self.board, self.states = board or Board(), PrintStates()
+        self.board: Board = board or Board()
+        self.states: PrintStates = PrintStates()
         self._leased = player.renew is not no_lease
         self.lease: Lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
@@ -104,11 +102,10 @@ class Print:
         self.states.listen(folder.state)
         self.states.listen(self._told)
         self.board.on_stop(self.stop)
-        period = schedule.frames if schedule.unit == "deg" else 0
+        period = len(schedule) // schedule.turns if schedule.turns else 0
         self.board.show(slots=len(schedule), unit=schedule.unit, period=period)
         self._arm()  # for a print that continues with a version
 
-    # ---- from any thread -------------------------------------------------------------------------------------
     @property
     def asked(self) -> PrintState | None:
         """The requested state: `PrintState.CANCELLED`, or else `PrintState.PAUSED`."""
@@ -132,7 +129,6 @@ class Print:
         for engine in range(self.player.schedule.engines):
             self.guard.spend(self.power * power[engine], int(lit["on_time"][lit["engine"] == engine].sum()))
 
-    # ---- the printing thread ---------------------------------------------------------------------------------
     def sense(self) -> None:
         """In the dark: show the status of the machines, at most twice per second."""
         if (now := self.player.clock.now()) >= self._sensed + SIGN:
@@ -238,11 +234,12 @@ class Print:
     def _end(self, error: BaseException, wanted: bool, why: str) -> None:
         """The state after an error."""
         excess = self.guard.budget.excess if self.guard.budget is not None else ""
+        final = FINAL if self.limits.resume else (VamError, OSError)
         if wanted:
             self.states.end(PrintState.CANCELLED, why)
         elif excess:  # perhaps of frames that were counted after the error
             self.states.end(PrintState.ERROR, excess if why == excess else f"{why}; {excess}")
-        elif self._final or not self._begun or isinstance(error, FINAL) or not isinstance(error, (VamError, OSError)):
+        elif self._final or not self._begun or isinstance(error, final) or not isinstance(error, (VamError, OSError)):
             self.states.end(PrintState.ERROR, why)
         elif not self._ended_short(why):
             left = self._end_slot - self.next
@@ -289,13 +286,9 @@ class Print:
         for slot in range(max(self.next, doubtful.start), min(doubtful.stop, self._end_slot)):
             version = 0 if self.player.versions is None else self.player.versions.at(slot)
             for engine in range(schedule.engines):
-                frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in _RECORDED)
-                self._unwritten.append(
-                    partial(
-                        self.folder.shown, FrameRecord(slot, frame, pose, light, on, engine=engine, version=version)
-                    )
-                )
-                given.append((float(schedule.power[slot, engine]), on))
+                shown = FrameRecord.of(schedule, slot, engine, version)
+                self._unwritten.append(partial(self.folder.shown, shown))
+                given.append((float(schedule.power[slot, engine]), shown.on_time))
         self.next = max(self.next, doubtful.stop)
         self._unwritten.append(partial(self._event, "unseen", first=doubtful.start, stop=doubtful.stop))
         self._repeat(range(doubtful.start, min(doubtful.stop, self._end_slot)))
@@ -308,7 +301,7 @@ class Print:
     def _repeat(self, slots: range) -> None:
         """Show frames in doubt again in an added turn of a vial, if neither dose nor budget forbid it."""
         schedule = self.player.schedule
-        if self._mending is None or schedule.unit != "deg" or self._cancelled or self.guard.signalled:
+        if self._mending is None or not schedule.repeats or self._cancelled or self.guard.signalled:
             return
         lit = np.array(slots)[schedule.frame[slots] != NONE]
         light = float((schedule.on[:, None] * schedule.power)[lit].sum()) * 1e-9 * self.power
@@ -479,13 +472,10 @@ class Print:
             self.board.show(doubt=(*self.board.now.doubt, (facts["first"], facts["stop"])))
 
 
-_RECORDED = ("frame", "pose", "light", "on")
-
-
 def may_resume(pause: int, limits: SafetyLimits) -> None:
     """Raise `BadInput` if a pause [ns] was too long."""
     if pause > limits.resume:
         raise BadInput(
             f"the print paused for {pause / SECOND:.1f} s; after {limits.resume / SECOND:g} s too much "
-            "of its dose has decayed: start again with fresh resin"
+            "of its dose has decayed, or its part has moved: start again with fresh resin"
         )

@@ -43,7 +43,6 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
     def _gate(self) -> tuple[Lamp, Renew]:
         return gate(self.machines.controller, self.machines.lamp, range(self.schedule.engines), self.schedule.power[0])
 
-    # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Fill the mirrors, arm the output at rest, and bring the motion to its speed ahead of the slot."""
         self._first = self._kept = first
@@ -119,7 +118,6 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         """Position of pose 0 on the stage."""
         return {"origin": self._zero}
 
-    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Nothing to start: frames already follow the stage."""
         self._polled = self.clock.now()
@@ -161,13 +159,12 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         return counted >= total and here - self._fired_at >= total * self._pose + lit
 
     def _closed(self) -> str | None:
-        """Why the controller closed the light."""
+        """Why the controller switched the light off."""
         if self.machines.controller is None:
             return None
         status = self.machines.controller.status()
-        return None if status.light else f"the controller closed the light: {status.fault}"
+        return None if status.light else f"the controller switched the light off: {status.fault}"
 
-    # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """Stop triggers after the present frame, so that none is cut."""
         self._stage.trigger_every(0.0)

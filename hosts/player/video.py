@@ -53,7 +53,7 @@ class SlotCounter:
         self._frames: deque[tuple[int, tuple[int, ...]]] = deque([(0, ()), (0, ())], maxlen=2)
         self._times: dict[int, int] = {}
         self._late: dict[int, int] = {}
-        self._counted = 0  # refreshes since the last frame's that are counted
+        self._counted = 0  # number of refreshes counted since that of the last frame
         self.begins: int | None = None
 
     def saw(self, slots: float, since: int) -> None:
@@ -78,7 +78,7 @@ class SlotCounter:
 
     @property
     def past(self) -> int:
-        """Slots before this one can be lit no more; a frame that was sent late is on show after its angle."""
+        """Slots before this one can no longer be lit; a frame that was sent late is lit after its angle."""
         first, last = self._frames[-1]
         return min(self.begins or 0, first) if last else self.begins or 0
 
@@ -170,7 +170,6 @@ class StageTracker:
         self._stage.wait()
 
     def _settle(self, refresh: Callable[[], int]) -> None:
-        """Wait for the speed."""
         self._motion.restart()
         began = self._clock.now()
         while True:
@@ -212,10 +211,6 @@ STATUS = 6  # video frames between two status queries to the controller; its eve
 class SpinningPlayer:
     """Plays the schedule of `vamgpu.hosts.schedules.video`; ``turns`` are added at most for missed slots."""
 
-    schedule: Schedule
-    display: HdmiTiming
-    machines: VideoMachines
-    clock: Clock
     lamp: Lamp
     renew: Renew
 
@@ -224,7 +219,10 @@ class SpinningPlayer:
         turns: int = 1, versions: FrameVersions | None = None,
     ) -> None:  # fmt: skip
         machines.check(schedule, display)
-        self.schedule, self.display, self.machines, self.clock = schedule, display, machines, machines.clock
+        self.schedule: Schedule = schedule
+        self.display = display
+        self.machines = machines
+        self.clock: Clock = machines.clock
         self.lamp, self.renew = gate(machines.controller, machines.lamp, range(schedule.engines), schedule.power[0])
         self._blackout = ScreenBlackout(machines.projector)
         self.switches: Mapping[str, Switch] = {"projector": self._blackout}
@@ -235,7 +233,7 @@ class SpinningPlayer:
         self._turn = schedule.frames * self._repeats
         self._turning = StageTracker(machines.stage, machines.clock, schedule, display, self._repeats)
         self._missed = Repeats(
-            VialLatePolicy(schedule.frames * self._repeats) if schedule.unit == "deg"
+            VialLatePolicy(schedule.frames * self._repeats) if schedule.repeats
             else WebLatePolicy(WINDOW * self._repeats, BORNE * self._repeats)
         )  # fmt: skip
         self._black = np.zeros(machines.projector.size, np.uint8)
@@ -251,7 +249,6 @@ class SpinningPlayer:
         fine: float | None = getattr(self.machines.stage, "microsteps", None)
         self._lit = SlotCounter(self.display, per_slot / fine if fine else 0.0)
 
-    # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """Show black, and bring the stage to its speed, in step with the cable, a little before the angle of a slot."""
         self._begin(first)
@@ -269,7 +266,6 @@ class SpinningPlayer:
         """Position of pose 0 on the stage [deg], in whole turns."""
         return {"origin": self._turning.origin}
 
-    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Read the controller's events from now on; frames follow the stage."""
         if self.machines.controller is not None:
@@ -288,7 +284,7 @@ class SpinningPlayer:
         return StatusPoll(running, seen.error, done, done, frames, seen.degrees, 1.0, margin, fault)
 
     def _fault(self) -> str | None:
-        """Why the controller closed the light."""
+        """Why the controller switched the light off."""
         if (controller := self.machines.controller) is None:
             return None
         reasons = [words[2] for words in controller.poll() if words[:2] == ("light", "off")]
@@ -299,7 +295,7 @@ class SpinningPlayer:
                 self._sure = self._confirmed
             self._confirmed = self._kept
         self._polls += 1
-        return f"the controller closed the light: {reasons[0]}" if reasons else None
+        return f"the controller switched the light off: {reasons[0]}" if reasons else None
 
     def _passed(self) -> tuple[FrameRecord, ...]:
         """Records of the poses behind the stage."""
@@ -375,7 +371,6 @@ class SpinningPlayer:
     def wait(self) -> None:
         """Return at once: sending waits for a video frame."""
 
-    # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """End after the present frame, in all its slots."""
         self._limit = min(self._limit, self._sent // self._repeats + 1)

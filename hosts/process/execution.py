@@ -17,6 +17,7 @@ from vamgpu.geometry import positive
 from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
 from vamgpu.hosts.player.exposure import ScatterWatch, StopRule
+from vamgpu.hosts.player.height import MovingPlayer
 from vamgpu.hosts.player.machines import (
     Machines,
     SourceFrames,
@@ -151,7 +152,7 @@ def carry_out(
         BadInput: The print cannot be resumed, or it is live and prints slices.
         WrongDevice: The plan has a stop, and no camera was opened.
         StorageError: The folder exists, or cannot be written.
-        VamError: Another error ended or holds the print: it is dark and recorded; the folder's state tells if it can
+        VamError: Another error ended or holds the print: it is dark and recorded; the folder's state shows if it can
             continue.
     """
     _may_begin(planned, machines, resume)
@@ -160,6 +161,8 @@ def carry_out(
     playing = player(planned, machines, found, None if left is None else left.origin, versions)
     if left is not None and isinstance(playing, TriggeredPlayer):
         playing.restore(left.lost)  # frames that the earlier host missed
+    path, row = planned.jobs[0].travel, planned.jobs[0].row
+    shows: Any = playing if path is None else MovingPlayer(playing, machines, path, row)
     if lacking := planned.guarantees.lacking:
         log.warning("not guaranteed: %s", ", ".join(f"{one.about} ({one.kind})" for one in lacking))
     with ExitStack() as held:
@@ -174,7 +177,7 @@ def carry_out(
         if live is not None and versions is not None:
             ends["live"] = _linked(held, live, planned, machines, record, versions, shown, images=watch is None)
         ends |= {"senses": partial(senses, machines), "watch": partial(inspect, machines)}
-        job = Print(playing, record, limits=limits(planned.rig), board=shown, mend=mend, dose=planned.dose, **ends)
+        job = Print(shows, record, limits=limits(planned.rig), board=shown, mend=mend, dose=planned.dose, **ends)
         if left is not None:
             job.restore((run := read_run(folder)).shown, left.pause)
             shown.show(doubt=run.doubt)

@@ -22,7 +22,7 @@ LEAVE = 1.0  # longest time for the thread to end [s]
 
 
 class LiveCamera:
-    """Takes images from the first light on; a context. speed: [deg/s].  exposure: [s]."""
+    """Takes images from the first light on; a context manager. speed: [deg/s].  exposure: [s]."""
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, lit: Callable[[], bool], speed: float, exposure: float = 0.01
@@ -86,21 +86,17 @@ class LiveCamera:
             if not self._repeated:
                 self._repeated = True
                 self._tell("live images repeated", "the camera repeats its last image; repeated ones are not used")
-                self._restart()
+                try:
+                    if isinstance(self._camera, Buffered):  # start it again
+                        self._camera.flush()
+                except Exception as error:
+                    self._lost(error)
             return
         self._before, self._repeated = image, False
         middle = self._last - self._exposure // 2
         angle = position + self._speed * (middle - looked) / SECOND
         if angle >= 0 and self._lit():  # else it is not of this print
             self._images.append({"image": image, "angle": angle, "at": middle})
-
-    def _restart(self) -> None:
-        """Start a camera that runs on its own again."""
-        try:
-            if isinstance(self._camera, Buffered):
-                self._camera.flush()
-        except Exception as error:
-            self._lost(error)
 
     def _lost(self, error: Exception) -> None:
         self._gone = True

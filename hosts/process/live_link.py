@@ -74,7 +74,7 @@ def task_of(planned: PrintPlan, folder: Path) -> dict[str, Any]:
 
 
 class LiveLink:
-    """A planning process and the messages to and from it; a context. `saw` and `notices` never wait or raise."""
+    """A planning process and its messages, both ways; a context manager. `saw` and `notices` never wait or raise."""
 
     def __init__(
         self, order: LiveOrder, task: dict[str, Any], planned: PrintPlan, versions: FrameVersions, clock: Clock,
@@ -94,7 +94,6 @@ class LiveLink:
         self._told = self._asked = 0  # messages to it, and number of its requests
         self.answers: int = 0  # answered proposals
 
-    # ---- the printing thread -----------------------------------------------------------------------------------
     def saw(self, seen: StatusPoll) -> None:
         """Pass on the shown frames, and the images since."""
         if self._camera is not None:
@@ -142,7 +141,6 @@ class LiveLink:
         self._board.show(live=why)
         self._notices.append((kind, {"why": why} | facts))
 
-    # ---- around the print --------------------------------------------------------------------------------------
     def __enter__(self) -> LiveLink:
         try:
             self._process = spawned("vamgpu.hosts.live", {"function": self._order.function})
@@ -167,7 +165,7 @@ class LiveLink:
                 self._process.wait()
 
     def _ended(self, event: str, text: str) -> None:
-        """Wake whoever waits for a proposal, as none will come, and report why."""
+        """Wake the threads that wait for a proposal, because none will come, and report the reason."""
         self._gone = True
         with self._ready:
             self._ready.notify_all()
@@ -180,11 +178,10 @@ class LiveLink:
                 f"the planning process is lost: {why}; {self._versions.unit}s continue as planned ({self._version()})",
             )
 
-    # ---- the line ----------------------------------------------------------------------------------------------
     def _serve(self, process: subprocess.Popen[bytes]) -> None:
         try:
             if (live := answered(process)) is None:
-                self._lost(f"it ended with {process.wait()} before it started")
+                self._lost(f"it exited with code {process.wait()} before it was ready")
                 return
             self._line = Client(live["address"], authkey=bytes.fromhex(live["key"]))
             if self._over.is_set():
@@ -231,7 +228,6 @@ class LiveLink:
         self._owing = self._clock.now() if self._owing is None else self._owing
         send(self._line, message)
 
-    # ---- what it says ------------------------------------------------------------------------------------------
     def _take(self, told: dict[str, Any]) -> None:
         """Handle a message, if possible."""
         try:
@@ -245,7 +241,7 @@ class LiveLink:
             if "checks" in told:
                 self._board.show(checks=(*self._board.now.checks, *checks(told["checks"]))[-CHECKS:])
             if told.get("doubt"):
-                self._tell("live doubted", f"images do not decide: {told['doubt']}; the planned light continues")
+                self._tell("live doubted", f"the images are not used: {told['doubt']}; the planned light continues")
             if "maps" in told:
                 self._board.show(maps=maps(told["maps"]))
             if "version" in told:

@@ -68,7 +68,7 @@ class PrintOrder:
 
     @property
     def leased(self) -> bool:
-        """Whether a controller gates the light, and closes it if the process dies."""
+        """Whether a controller gates the light, and switches it off if the process dies."""
         return self.config.setup.light.gate == "controller"
 
     def planned(self) -> PrintPlan:
@@ -92,7 +92,7 @@ def printed(
     told: Callable[[str, str], None], go_on: Callable[[Print], bool] | None,
     process: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Print an order's plan; how it ended, as messages tell it. told: hears facts by name. Raises what ended it."""
+    """Print an order's plan; returns how it ended, as a message. told: called with facts. Raises its error."""
     live = order.live
     camera = planned.stop is not None or (live is not None and planned.rig.setup.camera is not None)
     machines = opened(planned.rig, camera, planned.focus) if stand is None else stand.machines
@@ -119,7 +119,7 @@ def _seen(planned: PrintPlan, stand: Rehearsal, folder: str) -> dict[str, Any]:
     if not len(shown):
         return {}
     seen = None if planned.stop is None else lit["frame"]
-    turns = None if seen is None else -(-len(seen) // planned.schedule.frames)
+    turns = None if seen is None else -(-len(seen) * planned.schedule.turns // len(planned.schedule))
     engines = range(len(planned.jobs)) if planned.kind == "vial" else ()
     levels = [stand.levels(planned, engine, turns) for engine in engines]
     return {"resin": str(stand.monitor.verdict(seen)), "levels": levels} | ({} if turns is None else {"turns": turns})

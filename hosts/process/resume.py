@@ -50,11 +50,9 @@ class Interrupted:
             folder.event("unseen", now, first=self.unseen, stop=self.first)
         have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
         for slot in range(self.unseen, self.first):
-            frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
             for engine in range(schedule.engines):
-                if (slot, engine) in have:
-                    continue
-                folder.shown(FrameRecord(slot, frame, pose, light, on, engine=engine, version=version(slot)))
+                if (slot, engine) not in have:
+                    folder.shown(FrameRecord.of(schedule, slot, engine, version(slot)))
 
 
 def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> tuple[dict[str, Any], float, bool]:
@@ -167,6 +165,9 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
             "the stage triggered the mirrors to the end of their frames, and it is not known which of them were lit: "
             "the print cannot be resumed; start again with fresh resin"
         )
+    if planned.jobs[0].travel is not None:
+        raise BadInput("the height of a part that moves is not known after its host died: the print cannot be resumed; "
+                       "start again with fresh resin")  # fmt: skip
     if planned.display is not None:
         raise BadInput(
             "a video projector repeated its last frame while the vial turned, until the lease ended: the print "
@@ -190,7 +191,7 @@ def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -
 
 
 def _same_rig(planned: PrintPlan, run: RunRecord) -> None:
-    """Raise `BadInput` for a rig whose light or motion differs from that of the print, both calibrated alike."""
+    """Raise `BadInput` for a rig with another light or motion than the print, after the same calibration."""
     file, given = run.path / "rig.toml", run.asked.get("settings", ())
     with explaining("read", file):
         first = planned.calibration.motion(parse_rig(read_text(file, MOST_TOML), given, source=str(file)))
@@ -207,7 +208,7 @@ def _same_rig(planned: PrintPlan, run: RunRecord) -> None:
 def _light(rig: RigFile) -> dict[str, Any]:
     """The part of a rig's file that must not change before a print continues."""
     told = rig.model_dump(exclude={"rig", "safety", "feedback", "camera_stage"})
-    for section in (told["controller"], told["motion"], *told["display"], told["lens"], told["light"]):
+    for section in (told["controller"], told["motion"], *told["display"], told["lens"], told["lift"], told["light"]):
         for name in ("port", "library"):
             (section or {}).pop(name, None)
     return told
@@ -217,7 +218,7 @@ def run_folder(
     planned: PrintPlan, folder: str | Path, left: Interrupted | None, now: int,
     version: Callable[[int], int] | None = None,
 ) -> RunFolder:  # fmt: skip
-    """A new run folder, or a resumed one with its shown frames. now: [ns].  version: of a slot, or `StorageError`."""
+    """A new run folder, or a resumed one with its shown frames. now: time [ns].  version: gives a slot's version."""
     if left is None:
         return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
     record = RunFolder.again(folder)

@@ -53,13 +53,11 @@ class ServedBoard(Board):
 class Service:
     """Serves a print's board to any number of processes of the same user."""
 
-    order: PrintOrder
-    board: ServedBoard
-
     def __init__(self, order: PrintOrder) -> None:
         self._listener, self._key = Listener(), secrets.token_bytes(32)
         self.live: str = address(self._listener, self._key)
-        self.order, self.board = order, ServedBoard(Path(order.folder), self.live)
+        self.order = order
+        self.board: ServedBoard = ServedBoard(Path(order.folder), self.live)
         self.facts: dict[str, str] = {}
         self._end: dict[str, Any] | None = None
         self._over = threading.Event()
@@ -69,7 +67,7 @@ class Service:
         threading.Thread(target=self._accept, name="service", daemon=True).start()
 
     def go_on(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Ask the clients whether a held print continues; it does not without any. meanwhile: called until then."""
+        """Ask the clients whether a held print continues; False without clients. meanwhile: called while waiting."""
         while not self._answers.empty():
             self._answers.get()
         while self._watching:

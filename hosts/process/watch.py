@@ -28,23 +28,22 @@ from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.storage.reading import MOST_TOML, parse_json, read_text
 
 log: logging.Logger = logging.getLogger(__name__)
-PATIENCE = 2.0  # time after which an unresponsive process is ended, and the lease closes the light [s]
+PATIENCE = 2.0  # time after which an unresponsive process is ended, and the lease switches the light off [s]
 
 
 class LightProcessLost(DeviceError):
-    """The process that held the light has ended; a controller that gates the light closes it with its lease."""
+    """The process that controlled the light has ended; if a controller gates the light, its lease switches it off."""
 
 
 class Watch:
-    """A print in another process, mirrored on a board; its stop and buttons act there; a context."""
+    """A print in another process, mirrored on a board, whose stop and buttons control it; a context manager."""
 
-    board: Board
-    facts: dict[str, str]
-    end: dict[str, Any]
     pid: int
 
     def __init__(self, live: dict[str, Any], board: Board) -> None:
-        self.board, self.facts, self.end = board, dict[str, str](), dict[str, Any]()
+        self.board = board
+        self.facts: dict[str, str] = dict[str, str]()
+        self.end: dict[str, Any] = dict[str, Any]()
         self._held = ExitStack()
         self._over, self._lock = threading.Event(), threading.Lock()
         try:
@@ -168,14 +167,14 @@ class Watch:
             may_go_on(self.order.planned(), self.order.folder)
         except VamError as error:
             state, told = PrintState.ERROR, str(error)
-        told = f"the process that held the light has ended; {self._dark()}; {told}"
+        told = f"the process that controlled the light has ended; {self._dark()}; {told}"
         self.end = {"error": LightProcessLost.__name__, "why": told, "state": state.value}
         self.board.show(state=state, message=told, light=not self.order.leased and self.board.now.light)
 
     def _dark(self) -> str:
         """A sentence on the light of a process that has ended."""
-        return "the controller's lease closes the light" if self.order.leased else (
-            "no lease closes the light: switch it off"
+        return "the controller's lease switches the light off" if self.order.leased else (
+            "no lease switches the light off: do it by hand"
         )  # fmt: skip
 
     def _signal(self, number: int) -> None:

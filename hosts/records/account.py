@@ -37,7 +37,7 @@ class LightAccount:
     versions: Mapping[int, LightAccount] = field(default_factory=dict)  # the same for each version of the frames
     dose: GivenDose | None = None  # dose of all planned light, relative to the proved one; None if unknown
     stopped: bool = False  # whether the print ended before its turns, because the resin scattered enough
-    open: bool = False  # whether the record ends in the light, so that it is not known what was lit after it
+    open: bool = False  # whether the record ends while the light was on, so that the light after it is not known
 
     @property
     def views(self) -> int:
@@ -64,7 +64,7 @@ class LightAccount:
 
     @property
     def doubtful(self) -> np.ndarray:
-        """Views with too much light unless less of it was lit than may be; what is certain is within the budget."""
+        """Views with too much light if all uncertain light was lit; their certain light alone is within the budget."""
         return self.excess & (self.unsure > 0)
 
     def share(self, unsure: float) -> np.ndarray:
@@ -87,7 +87,7 @@ class LightAccount:
     def __str__(self) -> str:
         told = self.facts()
         doubt = f"; {told['in_doubt']} were lit for an unknown time" if told["in_doubt"] else ""
-        doubt += "; the record ends in the light: what was lit after it is not known" if self.open else ""
+        doubt += "; the record ends while the light was on: the light after it is not known" if self.open else ""
         if self.stopped:
             shares = self.share(0.0)[self.wanted > 0]
             low, high = (100 * float(each) for each in (shares.min(initial=1.0), shares.max(initial=0.0)))

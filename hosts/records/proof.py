@@ -17,6 +17,7 @@ from vamgpu.hosts.records.account import LightAccount, account
 from vamgpu.hosts.records.plans import kept_frames
 from vamgpu.hosts.records.record import RunRecord, digest, read_run
 from vamgpu.jobs.run import Proven, prove
+from vamgpu.operators.follow import followed
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.given_dose import GivenDose
 from vamgpu.printing.proof import Proof
@@ -29,7 +30,7 @@ class ShownFrames:
     """Frames as a run showed them."""
 
     frames: Frames  # frames of the job
-    share: np.ndarray  # share of each frame's light, (frames,)
+    share: np.ndarray  # share of each frame's light, (frames,), or of its rows, (frames, rows)
     versions: tuple[tuple[Callable[[], Frames], np.ndarray], ...] = ()  # readers of replaced frames, and their shares
 
     @property
@@ -44,7 +45,7 @@ class ShownFrames:
 
     def irradiance(self, device: Device) -> DeviceArray:
         """Light [angle, r, z] of the run, per turn of the plan."""
-        light = self.frames.irradiance(device).numpy() * self.share[:, None, None]
+        light = self.frames.irradiance(device).numpy() * self.share.reshape(len(self.share), 1, -1)
         for frames, share in self.versions:  # one by one, because there may be many
             light += frames().irradiance(device).numpy() * share[:, None, None]
         return device.upload(light.astype(np.float32))
@@ -101,15 +102,22 @@ def prove_run(
         planned = prove(place, device)
         proof = planned.proof
         doubts = (0.0, 1.0) if any(one.unsure[engine].any() for one in (light, *light.versions.values())) else (0.0,)
-        shown = [prove_given(proof, _shown(run, light, proof.frames, engine, unsure), light.dose) for unsure in doubts]
+        shown = [prove_given(proof, shown_frames(run, light, proof, engine, unsure), light.dose) for unsure in doubts]
         found.append(RunProof(run, light, planned, shown[0], shown[-1]))
     return tuple(found)
 
 
-def _shown(run: RunRecord, light: LightAccount, job: Frames, engine: int, unsure: float) -> ShownFrames:
+def shown_frames(
+    run: RunRecord, light: LightAccount, proof: Proof, engine: int = 0, unsure: float = 0.0
+) -> ShownFrames:  # fmt: skip
     """The frames shown by a projector: the job's, and those of versions that replaced them."""
+    job = proof.frames
     if not light.versions:
-        return ShownFrames(job, light.share(unsure)[engine])
+        share, motion = light.share(unsure)[engine], job.motion
+        path = None if motion is None or motion.travel is None else followed(motion, proof.operator.beam)
+        if path is not None:  # each turn has frames of its own
+            share = (path.lit * share.reshape(*path.lit.shape[:2], 1)).sum(axis=0) / path.repeats
+        return ShownFrames(job, share)
     planned = account(run, versions=False)
     assert planned is not None
     share = {number: _of(each, planned, engine, unsure) for number, each in light.versions.items()}

@@ -26,6 +26,7 @@ import numpy as np
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.records.account import account
 from vamgpu.hosts.records.state import PrintState, StateChange
+from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.storage.atomic import explained, explaining
 from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_bytes, read_text
 
@@ -57,6 +58,12 @@ class FrameRecord:
     dark: bool = False
     version: int = 0
 
+    @classmethod
+    def of(cls, schedule: Schedule, slot: int, engine: int, version: int) -> Self:
+        """The planned frame of a slot."""
+        frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
+        return cls(slot, frame, pose, light, on, engine=engine, version=version)
+
     def packed(self) -> bytes:
         """The record, with its check sum."""
         numbers = (self.slot, self.frame, self.position, self.start, self.on_time, self.late)
@@ -83,7 +90,7 @@ class RunFolder:
 
     @classmethod
     def begin(cls, path: str | Path, asked: Mapping[str, Any], rig: str) -> Self:
-        """A new folder. asked: request in values of JSON.  rig: text of its file. Raises `BadInput`, `StorageError`."""
+        """A new folder. asked: request, as JSON values.  rig: text of its file. Raises `BadInput`, `StorageError`."""
         try:
             place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
         except (TypeError, ValueError, AttributeError, RecursionError) as error:

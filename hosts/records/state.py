@@ -6,11 +6,13 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from vamgpu.errors import VamError
+from vamgpu.hosts.drivers.cleanup import all_of
 from vamgpu.printing.scatter import ScatterReading
 
 
@@ -108,7 +110,7 @@ class Estimated:
 
 @dataclass(frozen=True)
 class ImageCheck:
-    """A check of a turn's images against the light shown; beyond its limit, images do not decide."""
+    """A check of a turn's images against the light shown; beyond its limit, images are not used."""
 
     name: str  # what is compared
     turn: int  # turns shown so far
@@ -185,16 +187,9 @@ class Board:
             stop(self._stopped)
 
     def stop(self, why: str) -> None:
-        """Emergency stop in the caller's thread, without waiting for a poll; all are called, even after errors."""
+        """Emergency stop in the caller's thread, without waiting for a poll; tries every switch, even after errors."""
         self._stopped = why
-        failed: list[Exception] = []
-        for stop in tuple(self._stops):
-            try:
-                stop(why)
-            except Exception as error:
-                failed.append(error)
-        if failed:
-            raise failed[0]
+        all_of(*(partial(stop, why) for stop in self._stops))
 
     def button(self, name: str, press: Callable[[], None]) -> None:
         """Add a button: start, pause, resume or cancel."""

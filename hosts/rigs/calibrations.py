@@ -25,7 +25,7 @@ from vamgpu.storage.reading import parse_toml, read_text
 
 KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "turn", "live")
 OWN_STEPS = ("zaber", "grbl")  # motions whose device states its microsteps
-SURE = 4.0  # times its standard error by which a turn must differ before the motion is corrected
+SURE = 4.0  # standard errors by which a turn must differ before the motion is corrected
 SUFFIX = ".calibration"  # name of the folder beside the rig's file
 STAMP = "%Y-%m-%dT%H%M%S"
 NAME = re.compile(rf"({'|'.join(KINDS)})-(\d{{4}}-\d\d-\d\dT\d{{6}})(?:-\d+)?")

@@ -57,9 +57,7 @@ class SafetySection(Section):
     @classmethod
     def _kept(cls, lease: float) -> float:
         if not SHORTEST_LEASE_MS <= 1000 * lease <= LONGEST_LEASE_MS:
-            raise ValueError(
-                f"expected {SHORTEST_LEASE_MS} ms to {LONGEST_LEASE_MS} ms, as the controller keeps a lease"
-            )
+            raise ValueError(f"expected {SHORTEST_LEASE_MS} ms to {LONGEST_LEASE_MS} ms, which the controller supports")
         return lease
 
 
@@ -126,6 +124,9 @@ driver = "emulated"
 [lens]
 driver = "emulated"
 
+[lift]
+driver = "emulated"
+
 [[feedback]]
 driver = "emulated camera"
 exposure = "5 ms"
@@ -160,6 +161,7 @@ class RigFile(Section):
     light: Annotated[LightPart, noun("rig_light")]
     lens: Annotated[LensPart, noun("rig_lens")] | None = None
     feedback: Annotated[tuple[Annotated[FeedbackPart, noun("rig_feedback")], ...], BeforeValidator(_each)] = ()
+    lift: Annotated[MotionPart, noun("rig_motion")] | None = None
     camera_stage: CameraStageSection | None = None
     safety: SafetySection = SafetySection()
     calibration: CalibrationSection = CalibrationSection()
@@ -175,7 +177,7 @@ class RigFile(Section):
                         f'driver "{section.driver}": expected port = "/dev/…" or "socket://host:port"', name
                     )
         for name, found in (("motion", (self.motion,)), ("display", self.display), ("lens", (self.lens,)),
-                            ("feedback", self.feedback)):  # fmt: skip
+                            ("lift", (self.lift,)), ("feedback", self.feedback)):  # fmt: skip
             parts += [(name, part.emulated) for part in found if part is not None]
         real, emulated = ([name for name, one in parts if one is which] for which in (False, True))
         if real and emulated:

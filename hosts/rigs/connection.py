@@ -69,6 +69,7 @@ def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
     else:
         pin = {"pin": measuring["index"].pin} if "index" in measuring else {}
         stage = hold(motion.open("deg" if setup.rig.machine == "vial" else "mm", **pin))
+    lift = None if setup.lift is None else hold(setup.lift.open("mm"))
     lens = None if setup.lens is None else hold(setup.lens.open())
     shown = [hold(each.open()) for each in setup.display]
     if setup.light.gate == "display" and setup.display[0].lamps:
@@ -76,11 +77,11 @@ def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
     watching = hold(setup.camera.open()) if camera and setup.camera is not None else None
     if setup.video:
         assert stage is not None
-        return VideoMachines(RealClock(), controller, stage, shown[0], watching, lamp, lens)
+        return VideoMachines(RealClock(), controller, stage, shown[0], watching, lamp, lens, lift)
     if stage is not None:
-        return StageMachines(RealClock(), stage, shown, motion.microsteps, controller, lamp, lens, watching)
+        return StageMachines(RealClock(), stage, shown, motion.microsteps, controller, lamp, lens, watching, lift)
     assert controller is not None
-    return MirrorMachines(RealClock(), controller, shown, motion.microsteps, lens, watching)
+    return MirrorMachines(RealClock(), controller, shown, motion.microsteps, lens, watching, lift)
 
 
 def close(machines: Machines) -> None:
@@ -92,7 +93,7 @@ def close(machines: Machines) -> None:
     Raises:
         DeviceError: The first failure; the other machines are closed anyway.
     """
-    names = ("controller", "lamp", "stage", "lens", "projector", "mirrors", "camera")
+    names = ("controller", "lamp", "stage", "lift", "lens", "projector", "mirrors", "camera")
     found: list[Any] = [getattr(machines, name, None) for name in names]
     each = [machine for one in found for machine in (one if isinstance(one, (list, tuple)) else [one])]
     close_all([machine.close for machine in each if hasattr(machine, "close")])

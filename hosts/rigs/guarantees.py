@@ -1,4 +1,4 @@
-"""What a rig guarantees, watches and only believes, derived from its roles; or why the rig is rejected."""
+"""Guarantees of a rig, derived from its roles: guaranteed, watched or only believed; or why the rig is rejected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 MINUTE = 60.0
 SLACK = 1e-9  # relative tolerance of compared drifts, for rounding
 
-
 Kind = Literal["guaranteed", "watched", "believed", "not there"]
 """By the machine itself; by a sensor that is asked during the print; by the rig's file alone; or absent."""
 
@@ -26,11 +25,11 @@ Kind = Literal["guaranteed", "watched", "believed", "not there"]
 class Guarantee:
     """One condition of a print, and what ensures it."""
 
-    about: str  # step, display, position, scale, light, lease, interlock, lamp or lens
+    about: str  # step, display, position, scale, light, lease, interlock, lamp, lens or part
     kind: Kind
     why: str  # the reason, in words
     remedy: str = ""  # how to guarantee it
-    sensor: str = ""  # the machine whose answers tell; empty if none does
+    sensor: str = ""  # the machine whose answers show it; empty if none does
 
     @property
     def holds(self) -> bool:
@@ -77,6 +76,8 @@ def refusal(setup: RigFile) -> Misplaced | None:
     display, lens = driver_of(setup.display[0]), setup.lens
     by_rows = lens is not None and lens.controlled_by == "controller"
     bare = setup.controller is None
+    beside = setup.controller, setup.motion, setup.light, lens, setup.camera_stage, *setup.display, *setup.feedback
+    others = {each.port for each in beside if getattr(each, "port", None)}
     need = 'driver "controller": expected a table [controller] with its port'
     rules: list[Rule] = [
         (bare and motion == "controller", need, "motion"),
@@ -84,9 +85,13 @@ def refusal(setup: RigFile) -> Misplaced | None:
         (bare and light == "controller", need, "light"),
         (bare and by_rows, 'controlled_by = "controller": expected a table [controller]; add it, or set "host" for one '
          "focus", "lens"),
-        (not setup.motion.runs, f'driver "{motion}" only moves to positions, and every print needs motion at a '
-         "speed; use the driver of the stage's maker", "motion"),
         *_measuring(setup, motion),
+        (setup.lift is not None and (driver_of(setup.lift) == "controller" or not setup.lift.reports),
+         "expected a stage that reports its position, such as zaber, standa, thorlabs, tic or grbl", "lift"),
+        (setup.lift is not None and not setup.lift.emulated and "microsteps" not in setup.lift.model_fields_set,
+         "expected its microsteps per mm: microsteps = …", "lift"),
+        (setup.lift is not None and getattr(setup.lift, "port", None) in others,
+         "is that of another machine; expected a port of its own", "lift.port"),
         (len({each.triggered for each in setup.display}) > 1,
          "expected displays that all have a trigger, or one on a video cable", "display"),
         *(_on_a_cable if setup.video else _triggered)(setup, motion, clock, display, by_rows),
@@ -224,7 +229,7 @@ def _display(setup: RigFile) -> Guarantee:
     if setup.display[0].lamps:
         return Guarantee("display", "watched", "the projector is asked whether its patterns run", sensor="lamp")
     return Guarantee(
-        "display", "believed", "no machine tells what the projector shows: a dead lamp, a blank screen or a scaled "
+        "display", "believed", "no machine reports what the projector shows: a dead lamp, a blank screen or a scaled "
         "image go unnoticed", "watch the first turn",
     )  # fmt: skip
 
@@ -236,12 +241,16 @@ def _measured_by(setup: RigFile) -> str:
     return "controller" if driver_of(setup.motion) in ("controller", "emulated") else "index"
 
 
-def _encoded(setup: RigFile) -> bool:
-    return setup.motion.measured or any(driver_of(each) == "encoder" for each in setup.feedback)
+def part(setup: RigFile, lifted: bool) -> Guarantee:
+    """Whether a part that moves, perhaps with its vial, is where its frames follow it."""
+    if lifted and setup.lift is not None and setup.lift.measured:
+        return Guarantee("part", "watched", "the encoder of the lift measures its height", sensor="lift")
+    why = "the lift counts its steps" if lifted else "no sensor shows that the part is where [travel] says"
+    return Guarantee("part", "believed", why, "use one with an encoder" if lifted else "watch it with a camera")
 
 
 def _position(setup: RigFile) -> Guarantee:
-    if _encoded(setup):
+    if setup.motion.measured or any(driver_of(each) == "encoder" for each in setup.feedback):
         return Guarantee("position", "watched", "an encoder measures the position", sensor=_measured_by(setup))
     if _indexed(setup):
         why = "an index marks each turn; between two, steps are counted"
@@ -260,12 +269,12 @@ def _scale(setup: RigFile, unit: str) -> Guarantee:
     """Whether a microstep is as large as the rig's file says."""
     count = f"{setup.motion.microsteps:.6g} microsteps per {unit}"
     if setup.motion.scaled and unit == "deg":
-        why = f"the stage tells its own, compared with the file's {count}"
+        why = f"the stage reports its own, which is compared with the file's {count}"
         return Guarantee("scale", "watched", why, sensor="stage")
-    if any(each.sees == "motion" for each in setup.feedback):
+    if _indexed(setup):
         why = f"[[feedback]] shows whether {count} are right"
         return Guarantee("scale", "watched", why, sensor=_measured_by(setup))
-    why = f"{count} are the file's: were they wrong by 2, so were every angle or place"
+    why = f"{count} are the file's: an error in them is an error of every angle or position"
     measure = "a turn with vam calibrate turn" if unit == "deg" else "a travel by hand"
     return Guarantee("scale", "believed", why, f"measure {measure}")
 
@@ -293,15 +302,15 @@ def _lease(setup: RigFile) -> Guarantee:
 
 def _interlock(setup: RigFile) -> Guarantee:
     if setup.light.gate == "controller":
-        why = "the controller closes the light when the enclosure opens"
+        why = "the controller switches the light off when the enclosure opens"
         return Guarantee("interlock", "guaranteed", why, sensor="controller")
     if setup.controller is not None:
-        why = "the controller tells whether the enclosure is closed"
+        why = "the controller reports whether the enclosure is closed"
         return Guarantee("interlock", "watched", why, sensor="controller")
-    return Guarantee("interlock", "not there", "no machine tells whether the enclosure is closed")
+    return Guarantee("interlock", "not there", "no machine reports whether the enclosure is closed")
 
 
 LAMP = Guarantee(
     "lamp", "believed", "nobody measures its brightness during the print", "measure it with vam calibrate gray or flat"
 )
-LENS = Guarantee("lens", "watched", "its driver tells its faults and the power that is set", sensor="lens")
+LENS = Guarantee("lens", "watched", "its driver reports its faults and the power that is set", sensor="lens")

@@ -22,12 +22,14 @@ from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, We
 from vamgpu.hosts.rigs.calibrations import MachineCalibration
 from vamgpu.jobs.run import is_interrupted
 from vamgpu.jobs.web import is_web_folder
+from vamgpu.methods.plan_folder import operator_from
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.quantity import counted
-from vamgpu.storage.folder import MANIFEST
+from vamgpu.storage.folder import MANIFEST, Folder
 from vamgpu.storage.reading import parse_json, read_text
+from vamgpu.travel import Travel
 from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.store import WebFolder
 
@@ -48,10 +50,12 @@ class PrintJob:
     speed: float | None = None  # speed that it was made for [mm/s]; None if it is not given
     depths: tuple[float, ...] = ()  # depths of its focus planes [mm]; none for one focus
     bath: float = 1.0  # refractive index of the bath
-    frames: Frames | None = None  # angles of a vial
+    frames: Frames | None = None  # frames of a vial, of all turns if its part moves
+    travel: Travel | None = None  # path of a part that moves
+    row: float = 0.0  # height of a row of its beam [mm]
     stretch: Callable[[int, int], Frames] | None = None  # frames of a web per pose
     masks: np.ndarray | None = None  # focus plane of each column
-    segment: int = 0  # poses of a segment, whose frames may be replaced before it
+    segment: int = 0  # poses of a segment; its frames may be replaced before it begins
 
     @property
     def motion(self) -> Turntable | None:
@@ -87,10 +91,15 @@ def print_job(
         ) from error
     if is_interrupted(place):
         raise BadInput(f"{str(path)!r} is an interrupted plan; finish it with `vam solve` before printing")
-    count, *shape = frames.shape
+    count, travel = frames.shape[0], None if frames.motion is None else frames.motion.travel
+    row = 0.0
+    if travel is not None:
+        beam = operator_from(Folder.open(place), frames.device).beam
+        frames, row = frames.followed(beam), beam.pitch
     return PrintJob(
-        "vial", str(path), (shape[0], shape[1]), count, partial(VialFrames, frames), frames.bits, frames=frames
-    )
+        "vial", str(path), frames.shape[1:], count, partial(VialFrames, frames), frames.bits, frames=frames,
+        travel=travel, row=row,
+    )  # fmt: skip
 
 
 def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) -> PrintJob:

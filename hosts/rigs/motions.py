@@ -7,10 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers import stepper
 from vamgpu.hosts.drivers.controller_protocol import STEEPEST
-from vamgpu.hosts.drivers.micromanager import MicroManagerStage
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
 from vamgpu.hosts.drivers.stepper import GpioIndex
 from vamgpu.hosts.drivers.text_stage import Dialogue, GrblStage, TextStage, grbl
@@ -93,26 +91,6 @@ class ThorlabsMotion(StagePart):
 
     def open(self, unit: str) -> Stage:
         return ThorlabsStage.open(self.port, self.microsteps, unit)
-
-
-class MicroManagerMotion(StagePart):
-    """A stage that Micro-Manager drives, through pymmcore-plus; it only moves to positions, so it cannot run prints.
-
-    config: its configuration file.  label: label of the stage in it.  speed_property: property with its speed [mm/s].
-    """
-
-    runs: ClassVar[bool] = False
-    config: str
-    label: str
-    speed_property: str | None = None
-
-    def open(self, unit: str) -> Stage:
-        """See `MotionPart`. Raises `BadInput` for degrees."""
-        if unit != "mm":
-            raise BadInput(
-                f"the stage {self.label!r} of Micro-Manager moves in mm, and the job needs {unit}: use another"
-            )
-        return MicroManagerStage.open(self.config, self.label, self.speed_property)
 
 
 class StepperMotion(MotionPart):

@@ -20,10 +20,10 @@ from vamgpu.hosts.player.exposure import StopRule
 from vamgpu.hosts.player.rows import steppable
 from vamgpu.hosts.rigs.calibrations import MachineCalibration, calibration_of
 from vamgpu.hosts.rigs.config import RigConfig
-from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees, refused
+from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees, part, refused
 from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
 from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
-from vamgpu.hosts.rigs.turns import Turning, proved
+from vamgpu.hosts.rigs.turns import CLOSE, Turning, proved
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, every, whole
@@ -33,6 +33,7 @@ from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.exposure import USUAL
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.quantity import counted, parse
+from vamgpu.travel import Travel
 from vamgpu.units import deg
 
 HOUR = 3600.0
@@ -79,9 +80,11 @@ class PrintPlan:
     def guarantees(self) -> Guarantees:
         """The rig's guarantees at the plan's speed, with those that do not hold."""
         found = guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
+        if (path := self.jobs[0].travel) is not None:
+            found = replace(found, each=(*found.each, part(self.rig.setup, bool(path.rows))))
         if not self.rehearsed:
             return found
-        lens = len(self.focus) > 1  # of one focus no lens is emulated, and of projectors no LEDs
+        lens = len(self.focus) > 1  # no lens is emulated for one focus, and no LEDs of projectors
         each = (replace(one, kind="believed", sensor="") if one.sensor == "lamp" else one for one in found)
         return replace(found, each=tuple(one for one in each if lens or one.about != "lens"))
 
@@ -95,7 +98,7 @@ class PrintPlan:
         return tuple(each.source(mirrors) for each, mirrors in zip(self.jobs, self.mirrors, strict=True))
 
     def faults(self) -> str:
-        """What is wrong with a vial's print according to its proof; empty if it prints, or there is no proof."""
+        """Faults of a vial's print according to its proof; empty if it prints, or there is no proof."""
         if self.dose is not None:
             return "" if self.dose.proved.right else self.dose.proved.faults
         if self.kind == "vial" and len(self.jobs) == 1:
@@ -130,7 +133,7 @@ class PrintPlan:
         """Turns of a vial, and their dose."""
         if self.kind != "vial":
             return ()
-        turns, dose = counted(len(self.schedule) // self.schedule.frames, "turn"), self.dose
+        turns, dose = counted(self.schedule.turns, "turn"), self.dose
         shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
         if self.stop is not None:
             return (("exposure", f"at most {shown}"),)
@@ -138,7 +141,7 @@ class PrintPlan:
             return (("exposure", shown), ("dose", "not known: this job has no proof with its exposure"))
         light = dose.share * dose.proved.seconds
         return (
-            ("exposure", f"{shown} for {light:.3g} s of full light"),
+            ("exposure", f"{shown}, with {light:.3g} s of full light"),
             ("dimmed", dose.dimming if dose.lit < 1.0 else ""),
             ("dose", str(dose)),
             ("proof", "" if dose.proved.right else f"does not print: {dose.proved.faults}"),
@@ -156,8 +159,8 @@ def plan(
         jobs: Folder of the job, or one folder for each projector: all for vials, all for webs, or all of slices.
         rig: The rig, from `read_rig`.
         speed: A number in deg/s for vials, mm/s for webs, mm/h for slices, or text with its unit, such as "9 rpm". None
-            takes 40 deg/s for vials, on a video cable the fastest below at which images take whole slots and whole
-            turns give the proved dose; for others the speed of the job.
+            takes 40 deg/s for vials, on a video cable the fastest lower speed at which images take whole slots and
+            whole turns give the proved dose; for others the speed of the job.
         turns: Turns of a vial, at the full light of the rig; 1 for all others. None takes as many as the proved
             exposure needs, dimmed to give the proved dose.
         rehearsed: Plan for emulated machines as large as the job, on any rig.
@@ -180,25 +183,23 @@ def plan(
     if not isinstance(rig, RigConfig):
         raise BadInput(f'rig is {rig!r}; expected a rig from read_rig, such as read_rig("lab.toml")')
     rehearsed = rehearsed or rig.setup.emulated
-    paths = (jobs,) if isinstance(jobs, (str, Path)) else every("jobs", jobs)
-    if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
-        raise BadInput(f"a job is {wrong[0]!r}; expected the path of its folder")
     calibration = calibration_of(rig)
     rig = calibration.motion(rig)
-    packs = device or ("numpy" if rehearsed else None)
-    loaded = tuple(print_job(path, packs, calibration, number) for number, path in enumerate(paths))
+    loaded = _loaded(jobs, rig, calibration, device or ("numpy" if rehearsed else None))
     if turns is not None:
         whole("turns", turns)
-    _alike(loaded, rig)
     first, speeds = loaded[0], ()
     going, focus = speed_of(speed, first.kind, first.speed), _focus(first, rig, calibration)
+    free = speed is None and (first.travel is None or first.travel.period is None)
+    if first.travel is not None:
+        going, rig = _along(first.travel, rig, speed, going, turns)
     of: Callable[[float, int], Schedule]
     if rig.setup.video:
         mirrors, display = _screen(first, rig, rehearsed)
         of, least = partial(_on_a_cable, first, rig, display), None
         if first.kind == "vial":
             speeds = _cable_speeds(first.poses, going, display, rig)
-            usual = (each for each in sorted(speeds, reverse=True) if speed is None and each <= going)
+            usual = (each for each in sorted(speeds, reverse=True) if free and each <= going)
             going = next(usual, going)
     else:
         mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
@@ -214,25 +215,39 @@ def plan(
     if first.frames is None:
         schedule = of(going, 1 if turns is None else turns)
     else:
-        known = partial(_known, exposure, loaded, device, taken)
-        turning = Turning(of, going, rig.setup.light, first.frames.scale, least, speeds, speed is None)
-        schedule, dose = turning.schedule(turns, known)
+        known = partial(_known, exposure, partial(proved, loaded, turns, going, device), taken)
+        turning = Turning(of, going, rig.setup.light, first.frames.scale, least, speeds, free, first.travel)
+        schedule, dose = turning.schedule(turns if first.travel is None else None, known)
+        if first.travel is not None:  # each slot has a frame of its own
+            schedule = replace(schedule, frame=schedule.pose, frames=len(schedule))
     return PrintPlan(
         loaded, schedule, mirrors, rig, focus if display is None else (), display, rehearsed, calibration=calibration,
         dose=dose, proven=taken[0] if rehearsed and taken else None,
     )  # fmt: skip
 
 
+def _loaded(
+    jobs: str | Path | Sequence[str | Path], rig: RigConfig, calibration: MachineCalibration,
+    device: str | Device | None,
+) -> tuple[PrintJob, ...]:  # fmt: skip
+    """The jobs, corrected for the rig's projectors. Raises `BadInput` for those that it cannot print together."""
+    paths = (jobs,) if isinstance(jobs, (str, Path)) else every("jobs", jobs)
+    if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
+        raise BadInput(f"a job is {wrong[0]!r}; expected the path of its folder")
+    loaded = tuple(print_job(path, device, calibration, number) for number, path in enumerate(paths))
+    _alike(loaded, rig)
+    return loaded
+
+
 def _known(
-    exposure: ProvedDose | Literal[False] | None, loaded: tuple[PrintJob, ...], device: str | Device | None,
-    taken: list[Proven],
+    exposure: ProvedDose | Literal[False] | None, proving: Callable[[], Proven | str], taken: list[Proven]
 ) -> ProvedDose | str:  # fmt: skip
     """The proved dose of a vial, or why it is not known; a new proof is appended to ``taken``."""
     if exposure is False:
         return "the dose was left out (exposure=False)"
     if exposure is not None:
         return exposure
-    if isinstance(found := proved(loaded, device), str):
+    if isinstance(found := proving(), str):
         return found
     taken.append(found)
     return ProvedDose.of(found.proof)
@@ -259,7 +274,7 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
     for other in loaded[1:]:
         for what, one, two in (
             ("kind", first.kind, other.kind), ("number of poses", first.poses, other.poses),
-            ("angles", first.motion, other.motion),
+            ("angles", first.motion, other.motion), ("path of the part", first.travel, other.travel),
             ("bits", first.bits, other.bits), ("travel from pose to pose [mm]", first.advance, other.advance),
             ("focus planes [mm]", first.depths, other.depths), ("speed [mm/s]", first.speed, other.speed),
         ):  # fmt: skip
@@ -268,6 +283,23 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
                     f"jobs that are printed together must have the same {what}; {first.path!r} has {one}, "
                     f"{other.path!r} has {two}: solve them with the same"
                 )
+
+
+def _along(
+    path: Travel, rig: RigConfig, speed: float | Fraction | str | None, going: float, turns: int | None
+) -> tuple[float, RigConfig]:  # fmt: skip
+    """Speed [deg/s] and rig for a part that moves, which has a lift or does not wait. Raises `BadInput`."""
+    usual, setup = going if path.period is None else 360.0 / path.period, rig.setup
+    if turns not in (None, path.turns) or (speed is not None and abs(going / usual - 1.0) > CLOSE):
+        shown, own = (counted(count, "turn") for count in (turns or path.turns, path.turns))
+        raise BadInput(f"got {shown} at {going:.6g} deg/s for a part that moves; expected its {own} at {usual:.6g} "
+                       "deg/s: leave out --turns and --speed, or change [travel] and solve again")  # fmt: skip
+    if path.rows and setup.lift is None:
+        raise BadInput(f"the job is for a vial that rises through the image, and the rig {setup.rig.name!r} has no "
+                       "[lift]; add the linear stage that raises it, or print a lower part")  # fmt: skip
+    if not path.rows:
+        setup = setup.model_copy(update={"safety": setup.safety.model_copy(update={"resume": 0.0})})
+    return usual, replace(rig, setup=setup)
 
 
 def speed_of(speed: float | Fraction | str | None, kind: Kind, usual: float | None = None) -> float:
@@ -279,21 +311,15 @@ def speed_of(speed: float | Fraction | str | None, kind: Kind, usual: float | No
             raise BadInput(f"the job has no speed; give one in {unit} with --speed (speed= in Python)")
         return going
     text = str(float(speed) if isinstance(speed, Fraction) else speed)
-    if _number(text):
-        return float(text) / (HOUR if kind == "slices" else 1.0)
+    with suppress(ValueError):  # text with a unit
+        if 0 < float(text) < np.inf:
+            return float(text) / (HOUR if kind == "slices" else 1.0)
     try:
         if kind == "vial":
             return float(f"{parse(text, 'an angular speed') / deg:.12g}")
         return parse(text, "a speed")
     except ValueError as error:
         raise BadInput(f"speed is {speed!r}: {error}, or a plain number of {unit}") from error
-
-
-def _number(text: str) -> bool:
-    try:
-        return bool(0 < float(text) < np.inf)
-    except ValueError:
-        return False
 
 
 def _focus(first: PrintJob, rig: RigConfig, calibration: MachineCalibration) -> tuple[float, ...]:

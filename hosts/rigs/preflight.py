@@ -33,7 +33,7 @@ class Residence(Enum):
     """Place of the frames when the light opens."""
 
     RESIDENT = "all at the mirrors"
-    STREAMED = "two sequences by turns, one filled while the other is shown"
+    STREAMED = "two sequences in alternation, one filled while the other is shown"
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: 
         most = float(schedule.speed) * measured / (MARGIN * schedule.rate)
         raise TimingInfeasible(
             f"the controller answers {measured:.4g} times per second and holds {controller.capacity} of {rows} rows; "
-            f"expected {MARGIN:g} × {schedule.rate:.4g} answers per second: move at most at {most:.4g} {unit}, or "
+            f"expected {MARGIN:g} × {schedule.rate:.4g} answers per second: move at {most:.4g} {unit} or slower, or "
             "raise baud in [controller] and in its firmware",
             "serial line", most, unit,
         )  # fmt: skip
@@ -153,7 +153,7 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
         slowest = float(schedule.speed) * float(schedule.on.max()) / (1000 * most_us)
         raise TimingInfeasible(
             f"frames are lit for {1e-9 * float(schedule.on.max()):.4g} s; these mirrors show one for "
-            f"at most {1e-6 * most_us:.4g} s: move at least at {slowest:.4g} {schedule.unit}/s",
+            f"at most {1e-6 * most_us:.4g} s: move at {slowest:.4g} {schedule.unit}/s or faster",
             "mirrors", slowest, f"{schedule.unit}/s",
         )  # fmt: skip
     gap, on = schedule.gap, int(schedule.on.max())
@@ -161,7 +161,8 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
         most = float(schedule.speed) * min(gap, on + 1000) / least
         raise TimingInfeasible(
             f"frames of {bits} bits are lit for {1e-6 * on:.4g} ms every {1e-6 * gap:.4g} ms; these mirrors need "
-            f"{1e-6 * least:.4g} ms: move at most at {most:.4g} {schedule.unit}/s, or set their time in the rig's file",
+            f"{1e-6 * least:.4g} ms: move at {most:.4g} {schedule.unit}/s or slower, or set their time in the rig "
+            "file",
             "mirrors", most, f"{schedule.unit}/s",
         )  # fmt: skip
 
@@ -228,7 +229,7 @@ def preflight(
         most = float(schedule.speed) * measured / (MARGIN * demand)
         raise TimingInfeasible(
             f"{planes} planes do not fit into {free}, and the wire carries {1e-6 * measured:.4g} MB/s; expected "
-            f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s: move at most at {most:.4g} {schedule.unit}/s, or show "
+            f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s: move at {most:.4g} {schedule.unit}/s or slower, or show "
             "frames of 1 bit", "data link", most, f"{schedule.unit}/s",
         )  # fmt: skip
     freeze = batch / schedule.rate  # one of the two sequences may just have ended

@@ -101,12 +101,16 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
         emulated, machines = _stage_rig(planned, clock)
     else:
         emulated, machines = _mirror_rig(planned, clock)
+    if (path := planned.jobs[0].travel) is not None and path.rows:
+        machines.lift = emulated.plug_lift()
     sources: Any = planned.sources()
     planes = max(1, len(planned.jobs[0].depths))
     monitor = DoseMonitor(emulated.recorder, planned.schedule, sources, planned.mirrors[0], planes)
     emulated.clock.attach(monitor)
     if planned.kind == "vial":
-        emulated.recorder.scan(planned.schedule)
+        moves = range(0 if planned.schedule.repeats else len(planned.schedule))
+        dark = next((k for k in moves if sources[0].levels(np.array([k])).any()), 0)
+        emulated.recorder.scan(planned.schedule, dark)
     if planned.stop is not None:
         machines.camera = resin_camera(emulated.recorder, emulated.clock, planned.stop.exposure, planned.stop.bits)
     return Rehearsal(machines, emulated, monitor)
@@ -145,8 +149,7 @@ def curing(planned: PrintPlan, rehearsed: Rehearsal, settings: Mapping[str, Any]
 
 
 def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
-    from vamgpu.hosts.emulators.array import ArrayModel
-    from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+    from vamgpu.hosts.emulators.rigs import ArrayModel, EmulatedMirrorRig
 
     size, lens = planned.mirrors[0], planned.rig.setup.lens
     model = ArrayModel(height=size.rows, width=size.columns)
@@ -167,8 +170,7 @@ def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
 
 
 def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
-    from vamgpu.hosts.emulators.array import ArrayModel
-    from vamgpu.hosts.emulators.rigs import EmulatedStageRig
+    from vamgpu.hosts.emulators.rigs import ArrayModel, EmulatedStageRig
 
     size, setup, table = planned.mirrors[0], planned.rig.setup, planned.schedule
     model = ArrayModel(height=size.rows, width=size.columns)

@@ -40,13 +40,11 @@ class MotionPart(Part):
 
     microsteps: microsteps per millimeter or degree.  tolerance: error of the clock that sets its speed [ppm].  reports:
     whether it reports its position, even if it only counts steps.  triggers: whether it has an output that fires at
-    equal steps of degrees or mm.  runs: whether it can move continuously at a speed; else it only moves to positions.
-    scaled: whether its machine tells how many microsteps a turn has.
+    equal steps of degrees or mm.  scaled: whether its machine reports its microsteps per turn.
     """
 
     reports: ClassVar[bool] = True
     scaled: ClassVar[bool] = False
-    runs: ClassVar[bool] = True
     triggers: ClassVar[bool] = False
     microsteps: Microsteps
     tolerance: Ppm = CRYSTAL

@@ -19,18 +19,29 @@ from vamgpu.jobs.run import Proven, prove
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.quantity import counted
 from vamgpu.storage.folder import Folder
+from vamgpu.travel import Travel
 
 SLOTS = 10**7  # Most frames of a print; more are a typing error
 CLOSE = 1e-3  # Share of a turn below which frames are not dimmed
 MICRO = 1000  # Machines light frames for whole microseconds [ns]
 
 
-def proved(jobs: tuple[PrintJob, ...], device: str | Device | None = None) -> Proven | str:
-    """The proof of a vial's job, or why its exposure is not known. Raises as `prove` does."""
+def proved(jobs: tuple[PrintJob, ...], turns: int | None, speed: float, device: str | Device | None) -> Proven | str:
+    """The proof of a vial's job for these turns, or why its exposure is not known. Raises as `prove` does.
+
+    Patterns that follow oxygen through other turns are refused.
+    """
     path = jobs[0].path
     if len(jobs) > 1:
         return f"{len(jobs)} projectors share the dose, and each job is proved separately"
     inputs = Folder.open(path).manifest.inputs
+    oxygen = inputs.get("geometry", {}).get("oxygen")
+    if oxygen and (turns != oxygen["turns"] or abs(speed * oxygen["period"] / 360.0 - 1.0) > CLOSE):
+        shown = counted(turns, "turn") if turns is not None else "turns"
+        raise BadInput(f"{path!r} follows oxygen through {counted(oxygen['turns'], 'turn')} of {oxygen['period']:g} s, "
+                       f"and this print has {shown} of {360.0 / speed:.4g} s; print it with --turns {oxygen['turns']} "
+                       f"--speed {360.0 / oxygen['period']:.6g}, or solve it again with the turns and the period of "
+                       "this print in [resin.oxygen]")  # fmt: skip
     if not inputs.get("print"):
         return f"{path!r} has no [print] with irradiance and critical_dose"
     if inputs.get("colors"):
@@ -52,6 +63,7 @@ class Turning:
     least: int | None  # shortest light of a frame [ns]; None on a video cable
     speeds: Sequence[float] = ()  # speeds at which a video cable and the rig can print [deg/s], the nearest first
     usual: bool = False  # whether the user left the speed out: a slower one may then give the dose
+    travel: Travel | None = None  # path of a part that moves, which sets the turns
 
     def schedule(self, turns: int | None, known: Callable[[], ProvedDose | str]) -> tuple[Schedule, GivenDose | None]:
         """Return the slots and their dose; BadInput for a dose outside the verdict that the user did not choose."""
@@ -64,7 +76,8 @@ class Turning:
         self._check(turns or 1, once, "")
         proved = known()
         if isinstance(proved, str):
-            if turns is None:
+            turns = turns or self._set
+            if not turns:
                 raise BadInput(f"{proved}, so its number of turns is not known; expected a number: "
                                "give --turns (turns= in Python), or solve the job with [print]")  # fmt: skip
             return self.of(self.speed, turns), None
@@ -73,14 +86,15 @@ class Turning:
         if self.usual and turns is None and not dims:
             slower = sorted((each for each in self.speeds if each <= speed), reverse=True)
             speed = self._fitting(proved, slower) or speed
-            once = self.of(speed, 1)
+        elif self.usual and self._set:  # a helix turns slowly enough for its dose
+            speed *= min(1.0, self._set / self._turns(proved, speed)[0])
+        once = self.of(speed, 1)
         need = self._need(proved, once)
-        exact = need / self._lit(once)
-        lit = 1.0
+        exact, lit = need / self._lit(once), 1.0
         if turns is None:
-            count = max(round(exact), 1)
+            count = self._set or max(round(exact), 1)
             if dims and abs(count / exact - 1.0) > CLOSE:
-                count = max(ceil(exact), 1)
+                count = self._set or max(ceil(exact), 1)
                 lit = exact / count
         else:
             count = turns
@@ -101,10 +115,18 @@ class Turning:
         if not isinstance(proved, str):
             if (fitting := self._fitting(proved, self.speeds)) is None:
                 exact, count = self._turns(proved, speed)
-                told = f" --turns {count}, for a dose of ×{count / exact:.3f} of the proved one"
+                told = f" --turns {count}, for {count / exact:.3f} times the proved dose"
             speed = fitting or speed
         why = str(error).partition(": turn at")[0]
-        return f"{why}: print with --speed {speed:.6g}{told}", error.limit, speed, error.unit
+        how = f"print with --speed {speed:.6g}{told}"
+        if self.travel is not None and self.travel.period is not None:
+            how = f'solve the job with period = "{360.0 / speed:.6g} s" in [travel]'
+        return f"{why}: {how}", error.limit, speed, error.unit
+
+    @property
+    def _set(self) -> int:
+        """Turns of the path; 0 for a part at rest."""
+        return 0 if self.travel is None else self.travel.turns
 
     def _need(self, proved: ProvedDose, once: Schedule) -> float:
         """Seconds of full drive for each frame."""
@@ -123,7 +145,7 @@ class Turning:
         """Turns of the proved dose at one of the speeds, and the nearest whole number of them."""
         once = self.of(speed, 1)
         exact = self._need(proved, once) / self._lit(once)
-        return exact, max(round(exact), 1)
+        return exact, self._set or max(round(exact), 1)
 
     def _lit(self, schedule: Schedule) -> float:
         """Seconds of full drive per frame and turn, as rounded by the machines."""
@@ -153,12 +175,15 @@ class Turning:
         if dose.asked:
             warnings.warn(f"{turns} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
             return
-        remedy = f"dim the projector and set power = {self.light.power * exact / ceil(exact):.3g} in [light]"
-        if self.least is not None:
+        power = self.light.power * exact / max(ceil(exact), dose.turns)
+        remedy = f"dim the projector and set power = {power:.3g} in [light]"
+        if exact > self._set > 0:
+            remedy = f"use {exact / self._set:.3g} times the light, or more turns in [travel]"
+        elif self.least is not None:
             remedy = f"frames cannot be shorter, so set power = {self.light.power / dose.share:.3g} in [light]"
         elif (fitting := self._fitting(dose.proved, self.speeds)) is not None:
             remedy = f"print with --speed {fitting:.6g}"
         raise BadInput(
-            f"{takes}; with {turns} the dose is {dose}; expected ×{dose.proved.least:.3f} to "
-            f"×{dose.proved.most:.3f}: {remedy}"
+            f"{takes}; with {turns} the dose is {dose}; expected {dose.proved.least:.3f} to "
+            f"{dose.proved.most:.3f}: {remedy}"
         )

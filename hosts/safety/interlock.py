@@ -75,7 +75,7 @@ class Budget:
 
     @property
     def excess(self) -> str:
-        """What is wrong if more than the limit is used; empty otherwise."""
+        """Text of the error if more than the limit is used; empty otherwise."""
         if self.allows(0.0, 0):
             return ""
         return (

@@ -42,16 +42,14 @@ class LightGuard:
     # ``others`` are named switches, always tried after the lamp. SIGINT, SIGTERM and SIGHUP turn the light off before
     # their usual effect, in the main thread; an ignored signal, as under nohup, stays ignored.
 
-    lease: Lease
-    budget: Budget | None
-    tolerance: float
-
     def __init__(
         self, lamp: Lamp, lease: Lease, *, tolerance: float, budget: Budget | None = None,
         others: Mapping[str, Switch] | None = None,
         notify: Callable[[str, str], None] | None = None,
     ) -> None:  # fmt: skip
-        self.lease, self.budget, self.tolerance = lease, budget, positive("tolerance of motion", tolerance)
+        self.lease = lease
+        self.budget = budget
+        self.tolerance: float = positive("tolerance of motion", tolerance)
         self._lamp, self._others = lamp, dict(others or {})
         self._notify = notify or (lambda what, why: None)
         self._lock = threading.RLock()
@@ -63,7 +61,6 @@ class LightGuard:
         self._before: dict[int, Any] = {}
         self.signalled: bool = False
 
-    # ---- as a context --------------------------------------------------------------------------------------
     def __enter__(self) -> LightGuard:
         with self._lock:
             if self._entered:
@@ -87,7 +84,6 @@ class LightGuard:
             self._entered = False
             self._release_process()
 
-    # ---- observation - --------------------------------------------------------------------------------------
     @property
     def lit(self) -> bool:
         """Whether the light was turned on and not off since."""
@@ -120,7 +116,6 @@ class LightGuard:
                 self.fail(why)
                 raise InterlockOpen(f"the light went off: {why}")
 
-    # ---- on and off ----------------------------------------------------------------------------------------
     def on(self, power: float) -> None:
         """Turn the light on. Raises `InterlockOpen` with the reason if it must stay off."""
         with self._lock:
@@ -157,13 +152,13 @@ class LightGuard:
 
     def fail(self, why: str) -> None:
         """Turn the light off for good: no light and no lease until the guard is left."""
-        self.lease.revoke()  # first, because it does not wait: with every line dead, the controller closes by itself
+        self.lease.revoke()  # first, because it does not wait: the controller switches off even if every line is dead
         with self._lock:
             self._fault, self._outside = self._fault or why, self._outside or not self._entered
             self.off(why)
 
     def _signalled(self, why: str) -> None:
-        """Turn the light off from a signal, whose thread may hold a lock that the thread turning it off waits for."""
+        """Turn the light off from a signal; another thread that turns it off may wait for this thread's lock."""
         self.lease.revoke()
         self.signalled = True
         if self._lock.acquire(timeout=HELD_UP):
@@ -185,9 +180,8 @@ class LightGuard:
                 self._fault = self._fault or f"the {name} did not go off: {error}"
         self._lit = False
         if not worked:
-            log.critical("no switch answered; the controller closes the light when its lease runs out (%s)", why)
+            log.critical("no switch answered; the controller's lease will switch the light off (%s)", why)
 
-    # ---- the process ---------------------------------------------------------------------------------------
     def _guard_process(self) -> None:
         """Signals and the interpreter's end also turn the light off."""
         atexit.register(self._at_exit)

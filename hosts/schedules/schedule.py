@@ -39,7 +39,7 @@ class Schedule:
     cadence: Cadence  # times of the poses, and so of the motion
     advance: Fraction  # distance from pose to pose, exact; for measured angles between the nearest two
     unit: str  # "mm" or "deg"
-    frames: int  # number of frames
+    frames: int  # number of frames, after which a vial shows them again
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -53,6 +53,16 @@ class Schedule:
 
     def __len__(self) -> int:
         return len(self.light)
+
+    @property
+    def turns(self) -> int:
+        """Turns of a vial; 0 for others."""
+        return int((self.position[-1] - self.position[0]) // 360.0) + 1 if self.unit == "deg" and len(self) else 0
+
+    @property
+    def repeats(self) -> bool:
+        """Whether every turn of a vial shows the same frames; frames that follow a part differ."""
+        return self.turns > 0 and self.frames * self.turns == len(self)
 
     def turned_again(self, frames: set[int]) -> Schedule:
         """The schedule with one more turn of a vial at the end, lit only for some frames; the rest is black."""

@@ -53,8 +53,8 @@ class Server:
             now = time.monotonic_ns()
             self.machine.advance(now)
             if readable and (data := self._read()):
-                self.machine.receive(self.faults.to_machine(data), now)
-            out = self.faults.to_host(self.machine.take(time.monotonic_ns()))
+                self.machine.receive(self.faults.spoiled(data, "in"), now)
+            out = self.faults.spoiled(self.machine.take(time.monotonic_ns()), "out")
         if out:
             self._write(out)
 

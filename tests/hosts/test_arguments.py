@@ -30,6 +30,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 
 ODD: Any = None
+SPEED = r"expected an angular speed in deg/s, °/s, rpm, rad/s, not 'mm/s': write it like .40 deg/s"
 HUGE = 10**400
 MIRRORS = MirrorTiming()
 WEB: dict[str, Any] = {"poses": 5, "advance": 1, "speed": 1, "engines": MIRRORS, "lens": LensTiming(), "focus": (1, 2)}
@@ -124,7 +125,7 @@ def test_plans_want_a_rig_and_paths(job: Path) -> None:
     for speed in (float("nan"), True, [1], HUGE, 1e308, 1e-308):
         with pytest.raises(BadInput):
             plan(job, rig, speed=speed, turns=1)  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match=r"expected an angular speed in deg/s, °/s, rpm, rad/s: write it like .40 deg/s"):
+    with pytest.raises(BadInput, match=SPEED):
         plan(job, rig, speed="40 mm/s", turns=1)
     for speed in ("9 rpm", "9rpm", "54 deg/s", "54 °/s", "54", 54, f"{0.3 * np.pi:.12f} rad/s"):
         assert float(plan(job, rig, speed=speed, turns=1).schedule.speed) == pytest.approx(54.0, rel=1e-9)

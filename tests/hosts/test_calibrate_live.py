@@ -102,7 +102,7 @@ def test_a_place_is_kept_and_damage_is_told(rig: RigConfig, found: RedCamera, tm
     machines.close()
     assert again.numbers["matrix"] == place["matrix"] and not shown, "no mirror was lit"
     dark, _ = rehearsal(rig, live_run.TABLES, Optics(back=0.0))
-    with pytest.raises(BadInput, match="camera's own light"):
+    with pytest.raises(BadInput, match="turn its own light on"):
         live_run.live(dark, repeats=2, place=place)
     dark.close()
     with pytest.raises(JobError, match="vam calibrate live"):
@@ -126,7 +126,8 @@ def test_the_command_measures_and_keeps_the_place(tmp_path: Path, capsys: pytest
     assert main(["calibrate", "live", "--rig", str(rig), "--cured", str(tmp_path / "none")]) == 1
 
 
-@pytest.mark.parametrize(("full", "lamp"), [(0.25, 0.9), pytest.param(0.2, 1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("full", "lamp"), [(0.25, 0.9), (0.2, 1.0)])
 def test_the_first_cure_tells_the_turbidity(full: float, lamp: float, tmp_path: Path) -> None:
     made, part, light = setup()
     record, live = LiveRecord(tmp_path / "cure"), printer(Truth(lamp=lamp))

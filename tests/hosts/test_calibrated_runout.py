@@ -50,6 +50,7 @@ def rods(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return center.mean(axis=1), (center * rows).sum(axis=1) / (rows**2).sum()
 
 
+@pytest.mark.slow
 def test_the_pin_is_apart_from_the_axis(tmp_path: Path) -> None:
     found = measured(rig_at(tmp_path))
     for name, error, truth in (
@@ -83,6 +84,7 @@ def test_a_print_follows_the_vial(tmp_path: Path, flip_r: bool, flip_z: bool) ->
     assert not planned.calibration.notes and "runout" in planned.calibration.used
 
 
+@pytest.mark.slow
 def test_prints_that_do_not_know_the_angle_say_so(tmp_path: Path) -> None:
     rig = rig_at(tmp_path, EMULATED)
     measured(rig)

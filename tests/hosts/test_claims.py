@@ -20,7 +20,7 @@ from vamgpu.hosts.drivers.lightcrafter import LightCrafter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import plug
+from vamgpu.hosts.emulators.line import VirtualPort
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.panel import server as panels
@@ -76,12 +76,12 @@ def answers(request: Any, tmp_path_factory: pytest.TempPathFactory) -> Answers:
     return Answers(request.param, tmp_path_factory.mktemp(request.param))
 
 
-@pytest.fixture
-def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+@pytest.fixture(scope="module")
+def page() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
-    monkeypatch.setattr(panels, "STARTING", 200.0)
-    with sync_playwright() as tools:
+    with pytest.MonkeyPatch.context() as patch, sync_playwright() as tools:
+        patch.setattr(panels, "STARTING", 200.0)
         yield needs.page(tools)
 
 
@@ -118,11 +118,11 @@ def test_the_page_draws_no_more(answers: Answers, page: Any) -> None:
         values = {name: by(name).inner_text() for name in ("light", "position", "interlock", "lease", "dry run")}
         assert by("lens").count() == ("lens" in claims)
     assert values["dry run"].startswith("DRY RUN") and "emulated" in values["light"]
-    assert ("no machine tells" in values["light"]) is not claims["light"]["holds"]
+    assert ("no machine reports it" in values["light"]) is not claims["light"]["holds"]
     assert ("by counted steps" in values["position"]) is not claims["position"]["holds"]
     for about in ("interlock", "lease"):
         assert ("not there" in values[about]) is (claims[about]["kind"] == "not there"), values[about]
-        assert claims[about]["holds"] or not re.search("closed|closes", values[about])
+        assert claims[about]["holds"] or not re.search("closed|light off", values[about])
 
 
 def test_a_lens_that_a_rehearsal_does_not_emulate_vouches_for_nothing(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_every_rig_file_is_read_here() -> None:
 
 # ---- machines that are asked ---------------------------------------------------------------------------------------
 def stage(machine: EmulatedStage, microsteps: float, unit: str = "deg", encoder: bool = False) -> ZaberStage:
-    return ZaberStage(Wire(plug(machine, VirtualClock(), 0.02), "the stage"), microsteps, unit, encoder=encoder)
+    return ZaberStage(Wire(VirtualPort(machine, VirtualClock(), 0.02), "the stage"), microsteps, unit, encoder=encoder)
 
 
 def turning(cycle: int) -> EmulatedStage:

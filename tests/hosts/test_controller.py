@@ -13,13 +13,13 @@ from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, VirtualPort
 
 SECOND = 1_000_000_000
 
 
 def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
-    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
+    return Wire(VirtualPort(machine, clock, timeout_s, faults=faults), "the machine")
 
 
 def test_the_controller_over_a_terminal() -> None:

@@ -114,14 +114,14 @@ def test_ten_minutes_of_web_at_48_mm_a_minute_lose_nothing(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_ten_minutes_of_vial_at_40_degrees_a_second_lose_nothing(run: Path) -> None:
-    schedule = turned(360, speed=40, engines=MIRRORS, turns=67)
+def test_turns_of_a_vial_at_40_degrees_a_second_lose_nothing(run: Path) -> None:
+    schedule = turned(360, speed=40, engines=MIRRORS, turns=20)
     at = stand(run, schedule)
     shown = at.run().shown
-    assert schedule.duration > 599 * SECOND and len(shown) == 67 * 360
+    assert len(shown) == 20 * 360
     assert not shown["dark"].any() and shown["late"].max() < 0
     lit = at.seconds(360, turn=360)
-    assert np.abs(lit / (67e-9 * schedule.on[0]) - 1).max() < 1e-3
+    assert np.abs(lit / (20e-9 * schedule.on[0]) - 1).max() < 1e-3
 
 
 # ---- frames that are late ---------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, Wron
 from vamgpu.hosts.drivers.diode_laser import DiodeLaser
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import LineDevice, plug
+from vamgpu.hosts.emulators.line import LineDevice, VirtualPort
 from vamgpu.hosts.rigs.config import read_rig
 
 EPFL = Path(__file__).parents[2] / "docs" / "rigs" / "epfl.toml"
@@ -71,7 +71,7 @@ class EmulatedLaser(LineDevice):
 
 
 def laser_of(machine: EmulatedLaser, kind: str | None = None, clock: VirtualClock | None = None) -> DiodeLaser:
-    return DiodeLaser(Wire(plug(machine, clock or VirtualClock(), 0.05), "the laser"), kind or machine.kind, 0.2)
+    return DiodeLaser(Wire(VirtualPort(machine, clock or VirtualClock(), 0.05), "the laser"), kind or machine.kind, 0.2)
 
 
 @pytest.mark.parametrize(

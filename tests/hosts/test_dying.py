@@ -114,7 +114,7 @@ def disconnect(emulated: EmulatedMirrorRig) -> None:
         alp.disconnect()
 
 
-@pytest.mark.parametrize("at_once", [False, True], ids=["by the lease", "mirrors at once"])
+@pytest.mark.parametrize("at_once", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", PRINTS)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_every_slot_is_lit_once(

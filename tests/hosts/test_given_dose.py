@@ -86,7 +86,7 @@ JOBS: dict[str, tuple[dict[str, Any], str, tuple[str, ...]]] = {
     "stage, laser at 0.7": ({"irradiance": 40, "angles": 40}, STAGE.replace('"laser"', '"laser"\npower = 0.7'), ()),
 }
 """What is printed, on which rig, with which words."""
-RARE = ("shorter than a turn", "stage, laser at 0.7")
+RARE = ("cylinder", "shorter than a turn", "stage, laser at 0.7")
 
 
 def solved(folder: Path, **other: Any) -> Path:
@@ -195,7 +195,7 @@ def test_the_dose_is_the_one_that_was_proved(
     assert dose is not None and dose.share == pytest.approx(given / wanted, rel=2e-3)
     turns = len(read_run(tmp_path / "run").shown) // angles
     assert dose.turns == turns and not dose.asked and dose.keeps
-    assert f"{turns} turn{'s' * (turns > 1)} in {dose.seconds:.2f} s" in told and "×1.000 of the proved one" in told
+    assert f"{turns} turn{'s' * (turns > 1)} in {dose.seconds:.2f} s" in told and "1.000 times the proved dose" in told
     assert ("dimmed" in told) == (dose.lit < 1.0)
 
 
@@ -218,11 +218,12 @@ def test_another_dose_is_told_and_never_green(
     share = exposed(record.light(levels(part).shape), 0.65, 0.05, proof) / wanted
     assert kept.share == pytest.approx(share, rel=2e-3) and (share < 0.9 or share > 1.5)
     assert f"warning: {turns} turn" in said.err and ("incomplete: " in said.out) == (share < 1)
-    assert found.light.complete == (share > 1) and "the dose is ×" in str(found.least.verdict)
+    assert found.light.complete == (share > 1) and "times the proved dose: " in str(found.least.verdict)
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "dose given over proved" in page
     for text in (said.err, said.out, str(found.least.verdict), page):
-        assert (told := re.search(r"×(\d+\.\d+)", text)) and float(told[1]) == pytest.approx(share, rel=5e-3)
+        assert (told := re.search(r"×(\d+\.\d+)|(\d+\.\d+) times the proved dose", text))
+        assert float(told[1] or told[2]) == pytest.approx(share, rel=5e-3)
     solid = found.least.dose.numpy() * kept.share / (found.least.scores.total_in / proof.scores.total_in)
     missing = (solid < proof.scores.threshold) & (proof.target.numpy() >= 0.5)
     assert found.least.scores.missing == missing.sum(), "what is missing is what that dose leaves liquid"
@@ -230,13 +231,13 @@ def test_another_dose_is_told_and_never_green(
 
 def test_a_dose_that_whole_turns_cannot_give_is_refused_with_the_speed_that_can(part: Path, proof: Proof) -> None:
     rig, proved = parse_rig(PI), replace(ProvedDose.of(proof), seconds=12.0)
-    refused = r"1\.333 turns of 9 s.*expected ×.* print with --speed ([\d.]+)$"
+    refused = r"1\.333 turns of 9 s.*expected 0.* print with --speed ([\d.]+)$"
     with pytest.raises(BadInput, match=refused) as told:
         plan(part, rig, speed=40, rehearsed=True, exposure=proved)
     advice = re.search(refused, str(told.value))
     followed = plan(part, rig, speed=float(advice[1]), rehearsed=True, exposure=proved).dose if advice else None
     assert followed is not None and followed.keeps and followed.turns == 1
-    with pytest.warns(DoseWarning, match=r"1 turn of light: the dose is ×0\.750"):
+    with pytest.warns(DoseWarning, match=r"1 turn of light: the dose is 0\.750"):
         asked = plan(part, rig, rehearsed=True, turns=1, speed=40, exposure=proved).dose
     assert asked is not None and asked.asked and asked.lit == 1.0 and not asked.whole
     for speed in (30, None):
@@ -254,7 +255,7 @@ def test_whole_turns_that_come_close_are_not_dimmed(part: Path, proof: Proof) ->
         assert made.dose is not None and made.dose.lit == 1.0 and (made.schedule.on == on[0]).all()
         assert made.dose.turns == turns and made.dose.share == pytest.approx(1 / 1.0005, rel=1e-4)
     shorter = replace(proved, seconds=36 / 266 / 3)
-    with pytest.raises(BadInput, match=r"1 turn the dose is ×3\.00.*be shorter, so set power = 0\.333 in .light"):
+    with pytest.raises(BadInput, match=r"1 turn the dose is 3\.00.*be shorter, so set power = 0\.333 in .light"):
         plan(part, read_rig("emulated"), exposure=shorter)
     lower = plan(part, read_rig("emulated", ["light.power=0.333"]), exposure=shorter).dose
     assert lower is not None and lower.share == pytest.approx(1.0, rel=5e-3)
@@ -273,6 +274,23 @@ def test_what_no_proof_knows_wants_turns(part: Path, proof: Proof, job: Path) ->
     years = replace(ProvedDose.of(proof), seconds=1e12)
     with pytest.raises(BadInput, match=r"exposure takes 1e\+12 s of full light; expected at most 10000000 frames"):
         plan(part, rig, exposure=years)
+
+
+def test_oxygen_is_known_for_the_turns_of_its_job_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    oxygen = '[resin]\nkinetics = "oxygen"\n[resin.oxygen]\ndiffusivity = "1e-3 mm2/s"\nturns = 5\nperiod = "9 s"\n'
+    monkeypatch.setitem(globals(), "PART", PART + oxygen)
+    job, rig = solved(tmp_path), read_rig("emulated")
+    cases: list[tuple[int | None, float | None, str]] = [
+        (None, None, "turns of"), (3, 40, "3 turns of 9 s"), (5, 30, "5 turns of 12 s"),
+    ]  # fmt: skip
+    for turns, speed, seen in cases:
+        with pytest.raises(BadInput, match=f"5 turns of 9 s, and this print has {seen}.*--turns 5 --speed 40.*again"):
+            plan(job, rig, turns=turns, speed=speed)
+    assert plan(job, rig, turns=3, speed=40, exposure=False).dose is None
+    found = plan(job, rig, turns=5, speed=40)
+    assert found.dose is not None and found.dose.turns == 5 and found.proven is not None
+    times = found.proven.proof.exposure
+    assert times is not None and (times.seconds, times.turning) == (45.0, "5 turns of 9 s")
 
 
 def test_the_latitude_is_that_of_the_verdict_and_none_where_it_does_not_print(proof: Proof) -> None:
@@ -306,7 +324,7 @@ def test_a_part_that_does_not_print_is_printed_only_on_purpose(
 
     assert status() == status(answer="n") == 1 and not prints, "nobody agreed"
     said = capsys.readouterr().err
-    assert "does not print: 1 hole of the part is closed" in said and f"vam prove {part}" in said
+    assert "does not print in the simulation: 1 hole of the part is closed" in said and f"vam prove {part}" in said
     assert status(answer="y") == 0 and len(prints) == 1 and len(asked) == 2
     assert "1 hole of the part is closed" in asked[0] and "[y/N]" in asked[0]
     assert status("--anyway") == status(right=True) == status(emulated=True) == 0
@@ -331,7 +349,7 @@ def test_a_job_without_an_exposure_is_proved_before_a_real_print(
     wrong = SimpleNamespace(proof=SimpleNamespace(verdict=verdict))
     monkeypatch.setattr("vamgpu.hosts.rigs.planning.prove", lambda path: wrong)
     assert status(part) == 1 and len(prints) == 2
-    assert f"the proof of {str(part)!r} does not print: 1 hole of the part is closed; " in capsys.readouterr().err
+    assert f"{str(part)!r} does not print in the simulation: 1 hole of the part is closed; " in capsys.readouterr().err
     assert status(part, "--anyway") == 0 and len(prints) == 3
 
 

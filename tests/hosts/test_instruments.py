@@ -12,11 +12,11 @@ from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.calibration import EmulatedMeter
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, VirtualPort
 
 
 def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
-    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
+    return Wire(VirtualPort(machine, clock, timeout_s, faults=faults), "the machine")
 
 
 def test_the_meter() -> None:

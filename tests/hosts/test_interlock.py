@@ -223,7 +223,7 @@ TestPrinting.settings = FEW
 
 @pytest.mark.slow
 def test_many_more_prints_to_which_things_happen() -> None:
-    run_state_machine_as_test(Printing, settings=settings(FEW, max_examples=200))
+    run_state_machine_as_test(Printing, settings=settings(FEW, max_examples=80))
 
 
 def test_a_print_that_nothing_happens_to_is_completed() -> None:

@@ -1,4 +1,4 @@
-"""Hosts that are killed while they print: the controller, a process of its own, closes the light within one lease."""
+"""Hosts that are killed while they print: the controller, a separate process, switches the light off in one lease."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH
 
-LANES, KILLS = 4, 26
+LANES, KILLS = 4, 8
 PREROLL = 2
 
 

@@ -12,13 +12,13 @@ from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, VirtualPort
 
 MILLI = 1_000_000
 
 
 def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
-    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
+    return Wire(VirtualPort(machine, clock, timeout_s, faults=faults), "the machine")
 
 
 @pytest.mark.parametrize("server_of", [PtyServer, TcpServer])
@@ -53,7 +53,7 @@ def test_the_lens_is_held_to_its_firmware_and_mode() -> None:
 def test_faults_on_the_lens_line() -> None:
     clock, faults = VirtualClock(), Faults()
     lens = EmulatedLens()
-    port = plug(lens, clock, 0.1, faults=faults)
+    port = VirtualPort(lens, clock, 0.1, faults=faults)
     driver = LensDriver(Wire(port, "the lens driver"))
     driver.focal_power_mode()
     faults.drop_out = frozenset({faults._count["out"] + 3})
@@ -70,7 +70,7 @@ def test_faults_on_the_lens_line() -> None:
 
 def test_the_lens_settles_on_the_virtual_clock() -> None:
     clock, lens = VirtualClock(), EmulatedLens()
-    driver = LensDriver(Wire(plug(lens, clock, baud=38400), "the lens driver"))
+    driver = LensDriver(Wire(VirtualPort(lens, clock, baud=38400), "the lens driver"))
     driver.focal_power_mode()
     clock.sleep(100 * MILLI)
     start = clock.now()

@@ -20,7 +20,7 @@ from vamgpu.hosts.emulators.calibration import EmulatedMeter
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort, plug
+from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
@@ -138,12 +138,12 @@ class _Other(EmulatedController):
 )
 def test_the_controllers_firmware_must_be_the_librarys(answer: str) -> None:
     with pytest.raises(WrongDevice):
-        Controller(Wire(plug(_Other(answer), VirtualClock(), 0.1), "the controller"))
+        Controller(Wire(VirtualPort(_Other(answer), VirtualClock(), 0.1), "the controller"))
 
 
 def _stage() -> tuple[ZaberStage, Faults, VirtualClock]:
     clock, faults = VirtualClock(), Faults()
-    stage = ZaberStage(Wire(plug(EmulatedStage(rotary=True), clock, 0.1, faults=faults), "the stage"), 1000.0)
+    stage = ZaberStage(Wire(VirtualPort(EmulatedStage(rotary=True), clock, 0.1, faults=faults), "the stage"), 1000.0)
     return stage, faults, clock
 
 
@@ -172,14 +172,14 @@ def test_a_stage_without_the_axis_is_told() -> None:
     machine = EmulatedStage()
     machine.settings["deviceid"] = "NA"  # type: ignore[assignment]
     with pytest.raises(WrongDevice, match="expected a number"):
-        ZaberStage(Wire(plug(machine, VirtualClock(), 0.1), "the stage"), 1000.0)
+        ZaberStage(Wire(VirtualPort(machine, VirtualClock(), 0.1), "the stage"), 1000.0)
 
 
 def test_the_lenss_damaged_answers_are_never_believed() -> None:
     for way in ("flip_out", "drop_out"):
         for byte in range(9):
             clock, faults = VirtualClock(), Faults()
-            lens = LensDriver(Wire(plug(EmulatedLens(), clock, 0.1, faults=faults), "the lens driver"))
+            lens = LensDriver(Wire(VirtualPort(EmulatedLens(), clock, 0.1, faults=faults), "the lens driver"))
             setattr(faults, way, frozenset({faults._count["out"] + byte}))
             with pytest.raises((ProtocolError, DeviceRefused)) as told:
                 lens.temperature()
@@ -190,7 +190,7 @@ def test_the_lenss_damaged_answers_are_never_believed() -> None:
 def test_an_instruments_late_answer_is_not_the_next_ones() -> None:
     clock = VirtualClock()
     machine = EmulatedMeter(lambda now: 1.0)
-    meter = PowerMeter(Wire(plug(machine, clock, 0.02), "the meter"))
+    meter = PowerMeter(Wire(VirtualPort(machine, clock, 0.02), "the meter"))
     machine._out.latency_ns = 50 * MILLI
     with pytest.raises(DeviceLost):
         meter.power_mw()
@@ -202,7 +202,7 @@ def test_an_instruments_late_answer_is_not_the_next_ones() -> None:
 
 def test_an_instruments_half_answer_is_told() -> None:
     clock, faults = VirtualClock(), Faults()
-    meter = PowerMeter(Wire(plug(EmulatedMeter(lambda now: 1.0), clock, 0.1, faults=faults), "the meter"))
+    meter = PowerMeter(Wire(VirtualPort(EmulatedMeter(lambda now: 1.0), clock, 0.1, faults=faults), "the meter"))
     faults.drop_out = frozenset({faults._count["out"] + len("1.000000000E-03")})
     with pytest.raises(ProtocolError, match="line end"):
         meter.power_mw()

@@ -92,6 +92,7 @@ def test_a_planning_process_replaces_coming_turns_and_ends_the_print(made: Calla
     assert (frames.levels() == 5).all() and plans.last_kept(live.run_path) == 2
 
 
+@pytest.mark.slow
 def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., Live]) -> None:
     live = made("nonsense")
     live.waits = {3: answered(27)}
@@ -111,12 +112,13 @@ def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., 
     assert not live.board.now.parameters and not live.board.now.maps and not live.board.now.checks
 
 
+@pytest.mark.slow
 def test_images_that_do_not_decide_are_told_and_recorded(made: Callable[..., Live]) -> None:
     live = made("doubts")
     live.waits = {3: answered(1)}
     told = live.run()
     (event,) = (event for event in told.events if event["event"] == "live doubted")
-    assert "the camera moved" in event["why"] and "images do not decide" in live.board.now.live
+    assert "the camera moved" in event["why"] and "the images are not used" in live.board.now.live
     assert [(each.name, each.turn, each.value, each.limit) for each in live.board.now.checks] == [
         ("images", 1, 3.0, 15.0), ("conversion", 1, 0.1, 0.35), ("images", 2, 30.0, 15.0),
     ]  # fmt: skip
@@ -160,6 +162,7 @@ def test_a_version_for_a_turn_that_has_begun_is_dropped(made: Callable[..., Live
     assert "swap dropped" in kinds(told) and not told.shown["version"].any()
 
 
+@pytest.mark.slow
 def test_a_slow_disk_makes_a_version_late_and_a_full_one_refuses_it(
     made: Callable[..., Live], monkeypatch: pytest.MonkeyPatch
 ) -> None:

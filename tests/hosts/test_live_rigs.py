@@ -40,9 +40,6 @@ rotation = 90
 """
 SLOW = ("lightcrafter_kcube", "pi_video_stepper", "vialux_zaber")
 EACH = [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in NAMES]
-LIVE = [
-    pytest.param(name, marks=[] if name == "epfl" else [pytest.mark.slow]) for name in NAMES if name != "roll_bench"
-]
 SIZE, PITCH, VIEW = (24, 64), 0.2, (120, 160)
 SPEED = 36.0  # whole video frames for each of 40 angles
 
@@ -91,7 +88,8 @@ def test_the_camera_of_each_rig_is_found(name: str, tmp_path: Path) -> None:
     assert numbers["read"] == pytest.approx(truth["read"], rel=0.3), "its error is tested apart"
 
 
-@pytest.mark.parametrize("name", LIVE)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "roll_bench"])
 def test_each_rig_is_watched_by_its_calibrated_camera(
     name: str, nut: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

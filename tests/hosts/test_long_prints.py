@@ -160,11 +160,11 @@ def test_what_was_late_in_the_first_turn_is_shown_in_an_added_one(
 
 @pytest.mark.slow
 def test_three_hundred_turns_start_and_end(tmp_path: Path) -> None:
-    schedule = turned(36, speed=90, engines=MIRRORS, turns=300)
+    schedule = turned(12, speed=270, engines=MIRRORS, turns=300)
     emulated, frames, job = made(schedule, tmp_path / "run")
     assert job.run() is PrintState.COMPLETE
     assert emulated.alps[0].counts["uploaded"] < 200 and frames.made < 200
-    assert len(read_run(tmp_path / "run").shown) == 300 * 36
+    assert len(read_run(tmp_path / "run").shown) == 300 * 12
     right(emulated, schedule, 300)
 
 
@@ -189,7 +189,7 @@ def test_a_stalled_motor_ends_the_print_where_an_encoder_sees_it(tmp_path: Path,
     if not feedback:
         assert job.run() is PrintState.COMPLETE and stalled, "nobody saw it"
         return
-    with pytest.raises(InterlockOpen, match="closed the light: stall, the encoder differs"):
+    with pytest.raises(InterlockOpen, match="switched the light off: stall, the encoder differs"):
         job.run()
     assert not emulated.controller.light
     speed = float(schedule.speed / schedule.advance) * STEPS
@@ -255,11 +255,9 @@ def test_a_web_printed_from_its_middle_is_incomplete(tmp_path: Path) -> None:
     assert shown["slot"].tolist() == list(range(first, len(schedule))) and not shown["dark"].any()
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_ten_metres_of_web_are_printed_whole(tmp_path: Path) -> None:
-    schedule, job = _long_web(tmp_path / "run", 10_000, speed=8.0)
-    assert job.run() is PrintState.COMPLETE
+def test_slots_beyond_16_bits_are_counted(tmp_path: Path) -> None:
+    schedule, job = _long_web(tmp_path / "run", 5_200, speed=8.0)
+    assert len(schedule) == 66_208 > 2**16
+    assert job.run(65_000) is PrintState.INCOMPLETE
     shown = read_run(tmp_path / "run").shown
-    assert len(schedule) == 127_323 and shown["slot"].tolist() == list(range(len(schedule)))
-    assert not shown["dark"].any()
+    assert shown["slot"].tolist() == list(range(65_000, len(schedule))) and not shown["dark"].any()

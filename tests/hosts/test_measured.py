@@ -80,10 +80,6 @@ def test_what_measures_must_reach_who_counts() -> None:
         ((MOTOR, ALP, feedback("index", pin=4)), "pin is only for"),
         ((MOTOR, ALP, feedback("encoder", counts=3)), "two counts"),
         ((MOTOR, ALP, feedback("index"), feedback("index")), "at most one encoder and one index"),
-        (
-            ('[motion]\ndriver = "micromanager"\nconfig = "a.cfg"\nlabel = "Z"\nmicrosteps = 10.0\n', ALP),
-            "only moves to positions",
-        ),
         ((MOTOR, '[display]\ndriver = "lightcrafter"\ncontrol = "1"\n'), 'expected "usb"'),
         ((MOTOR, '[display]\ndriver = "lightcrafter"\nrefresh = "100 Hz"\n'), "cannot be shown"),
         ((MOTOR, ALP, feedback("camera")), "expected producer"),

@@ -93,7 +93,7 @@ def test_nothing_is_shown_again_unasked(tmp_path: Path) -> None:
 
 def test_dark_slots_are_no_frame_that_is_shown_again(tmp_path: Path) -> None:
     frame, repeated, told = np.array([0, NONE, NONE, NONE, 1]), list[range](), list[Any]()
-    schedule = SimpleNamespace(unit="deg", frame=frame, on=np.full(5, 10**9), power=np.ones((5, 1)))
+    schedule = SimpleNamespace(unit="deg", repeats=True, frame=frame, on=np.full(5, 10**9), power=np.ones((5, 1)))
     job: Any = SimpleNamespace(
         player=SimpleNamespace(schedule=schedule, repeat=repeated.append), guard=SimpleNamespace(signalled=False),
         _mending=Mending(GivenDose(PROVED, share=1.0, turns=4, seconds=12.0), 2.5), _cancelled=False, power=1.0,

@@ -29,13 +29,13 @@ from vamgpu.hosts.emulators.array import ArrayModel, DisplayedFrame
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Cable, Faults, LineDevice, plug
+from vamgpu.hosts.emulators.line import Cable, Faults, LineDevice, VirtualPort
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 
 
 def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
-    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
+    return Wire(VirtualPort(machine, clock, timeout_s, faults=faults), "the machine")
 
 
 def _dmd(**options: object) -> tuple[VirtualClock, EmulatedAlp, Dmd]:

@@ -76,7 +76,7 @@ def test_the_page_shows_and_stops(page: Any) -> None:
         text = lambda name: by(name).inner_text()  # noqa: E731
         assert text("state") == "printing" and text("frame") == "17 (slot 18 of 360)"
         assert (text("position"), text("lens"), text("time left")) == ("17.000 deg", "-1.250 dpt", "1 min 15 s")
-        assert text("lease") == "light closes 210 ms after the host falls silent; last renewal 40 ms ago"
+        assert text("lease") == "light off 210 ms after the host falls silent; last renewal 40 ms ago"
         for name in ("projector 1", "projector 2"):
             assert by(name).evaluate("async (image) => { await image.decode(); return image.naturalWidth }") == 60
         assert by("resume").is_disabled() and "can continue" in by("resume").get_attribute("title")

@@ -52,6 +52,15 @@ class FilmedBoard(Board):
         return lambda: self.buttons[name]()
 
 
+DECODED = """async (image) => {
+  for (let tries = 0; tries < 100; tries++) {
+    try { return await image.decode(); } catch (error) { await new Promise((next) => setTimeout(next, 100)); }
+  }
+  return image.decode();
+}"""
+"""Waits until an image is drawn; one that a later image replaces while it loads is tried again."""
+
+
 class Film:
     """A print on emulated machines, and its page at both widths."""
 
@@ -77,7 +86,7 @@ class Film:
             for number in range(projectors):
                 image = page.get_by_test_id(f"projector {number + 1}")
                 image.wait_for()
-                image.evaluate("(image) => image.decode()")
+                image.evaluate(DECODED)
             page.screenshot(path=self.out / f"{name}-{width}.png")
             page.screenshot(path=self.out / f"{name}-{width}-whole.png", full_page=True)
             size = page.viewport_size

@@ -79,6 +79,7 @@ def lit(watch: Watch) -> None:
     until(lambda: watch.board.now.light and watch.board.now.slot > 0, watch)
 
 
+@pytest.mark.slow
 def test_a_print_in_another_process_is_mirrored_and_recorded(job: Path) -> None:
     board, told = Board(job="part"), list[str]()
     with started(order(job), board) as watch:
@@ -193,7 +194,7 @@ def test_a_process_that_hangs_is_ended_by_a_stop(job: Path) -> None:
         os.kill(watch.pid, signal.SIGSTOP)
         with pytest.raises(LightProcessLost, match="did not answer"):
             board.stop("pressed")
-        with pytest.raises(LightProcessLost, match="lease closes the light"):
+        with pytest.raises(LightProcessLost, match="lease switches the light off"):
             ended(watch)
 
 
@@ -202,7 +203,7 @@ def test_a_process_that_dies_leaves_a_print_that_is_held(job: Path) -> None:
     with started(order(job, turns=50), board := Board()) as watch:
         lit(watch)
         os.kill(watch.pid, signal.SIGKILL)
-        with pytest.raises(LightProcessLost, match="lease closes the light.*--resume"):
+        with pytest.raises(LightProcessLost, match="lease switches the light off.*--resume"):
             ended(watch)
     assert board.now.state is PrintState.HELD and not board.now.light
     assert read_run(job.parent / "run").state is PrintState.PRINTING, "the folder tells what the process knew"

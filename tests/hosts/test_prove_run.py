@@ -152,6 +152,7 @@ def test_jobs_that_were_moved_are_found_by_what_they_hold(tmp_path: Path) -> Non
             jobs_of(run, given)
 
 
+@pytest.mark.slow
 def test_a_record_that_is_no_record_is_told(part: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert printed(part, run) == 0

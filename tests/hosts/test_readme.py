@@ -22,7 +22,7 @@ def test_its_rigs_are_read() -> None:
     assert vial.rig.machine == "vial" and vial.camera is not None and vial.light.power == 0.8
 
 
-@pytest.mark.parametrize("table", list(RigFile.model_fields))
+@pytest.mark.parametrize("table", [name for name in RigFile.model_fields if name != "lift"])  # with keys of [motion]
 def test_each_key_of_a_rig_is_listed(table: str) -> None:
     row = next(line for line in TEXT.splitlines() if line.startswith(f"| `[{table}]` |"))
     kinds = re.findall(r"[\w.]+Section", str(RigFile.model_fields[table].annotation))

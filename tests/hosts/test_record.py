@@ -123,7 +123,7 @@ def test_the_record_of_a_dead_host_ends_in_the_light(tmp_path: Path) -> None:
     found = account(read_run(tmp_path / "run"))
     assert found is not None and found.open and not found.complete
     assert found.sure.tolist() == [[10**6] * 3 + [0]] and found.unsure.tolist() == [[0, 0, 0, 10**6]]
-    assert "the record ends in the light" in str(found)
+    assert "the record ends while the light was on" in str(found)
     folder.state(StateChange(PrintState.PRINTING, PrintState.COMPLETE, ""))
     found = account(read_run(tmp_path / "run"))
     assert found is not None and found.complete and not found.open and "all 4 frames have their light" in str(found)

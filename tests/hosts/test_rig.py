@@ -120,7 +120,7 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
     with pytest.raises(TimingInfeasible):
         planned(job, speed=4000.0)
     real = parse_rig(LAB.replace("3200.0", "8000"))
-    with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at most at 25 deg/s"):
+    with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at 25 deg/s or slower"):
         plan(job, real, speed=40.0, device="numpy", turns=1)
     assert len(plan(job, real, speed=25.0, device="numpy", turns=1).schedule) == 36
     with pytest.raises(BadInput, match="another projector"):
@@ -133,7 +133,7 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
 def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
     told = capsys.readouterr().out
-    assert "\ncomplete: " in told and "×1.000 of the proved one" in told
+    assert "\ncomplete: " in told and "1.000 times the proved dose" in told
     assert (tmp_path / "demo.run" / "report.html").stat().st_size > 10_000
     (tmp_path / "lab.toml").write_text(LAB)
     assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--turns", "1", "--out", "x"]) == 1

@@ -224,11 +224,14 @@ def remedied(
 VIALS = [file for file in sorted(RIGS.glob("*.toml")) if read_rig(file).setup.rig.machine == "vial"]
 
 
+@pytest.mark.parametrize("counts", [(60, 100, 720), pytest.param((24, 36, 48, 90, 180, 360), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("file", VIALS, ids=lambda file: file.stem)
 @pytest.mark.filterwarnings("ignore::vamgpu.errors.DoseWarning")
-def test_a_rig_prints_any_number_of_angles_at_its_usual_speed_or_by_the_remedy(file: Path, tmp_path: Path) -> None:
+def test_a_rig_prints_any_number_of_angles_at_its_usual_speed_or_by_the_remedy(
+    file: Path, counts: tuple[int, ...], tmp_path: Path
+) -> None:
     rig = read_rig(file)
-    for images in (24, 36, 48, 60, 90, 100, 180, 360, 720):
+    for images in counts:
         for number, known in enumerate((KNOWN, SHORT, replace(KNOWN, seconds=1.0), False)):
             place = tmp_path / f"{images} {number}"
             made = remedied(place, rig, images, known)
@@ -250,7 +253,9 @@ def test_a_rig_prints_any_number_of_angles_at_its_usual_speed_or_by_the_remedy(f
 
 
 @pytest.mark.parametrize("known", [KNOWN, SHORT, False], ids=["long", "short", "turns"])
-@pytest.mark.parametrize("images", [7, 60, 100, 120, 144, 300, 360])
+@pytest.mark.parametrize("images", [
+    7, 100, 360, *(pytest.param(images, marks=pytest.mark.slow) for images in (60, 120, 144, 300)),
+])  # fmt: skip
 @pytest.mark.parametrize("speed", [10.0, 40.0])
 @pytest.mark.filterwarnings("ignore::vamgpu.errors.DoseWarning")
 def test_the_remedy_of_a_refused_speed_is_accepted(

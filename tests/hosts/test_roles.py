@@ -125,7 +125,7 @@ def test_a_number_without_a_unit_is_shown_with_one_that_its_key_may_have(
 ) -> None:
     drivers = {"lens": 'driver = "optotune"\nport = "/dev/x"\n', "feedback": 'driver = "camera"\nproducer = "x.cti"\n'}
     tables = {table: f"[{table}]\n{drivers.get(table, '')}"} | {"display": ALP}
-    for given, unit in ((number, "with its unit in quotes"), (f'"{number}"', "no unit")):
+    for given, unit in ((number, "with its unit in quotes"), (f'"{number}"', "without a unit")):
         with pytest.raises(JobError, match=rf'{key}: got .*{unit}.*: write it like "{hint}"'):
             rig(BOX, MOTOR, *(text + f"{key} = {given}\n" if name == table else text for name, text in tables.items()))
 
@@ -224,6 +224,15 @@ def test_the_command_tells_roles_and_guarantees(tmp_path: Path, capsys: pytest.C
     file.write_text(HEAD + BOX + MOTOR + ALP)
     assert main(["rig", "check", str(file)]) == 0
     assert "250 ms after" in capsys.readouterr().out
+    lift = '[lift]\ndriver = "zaber"\nport = "/dev/{}"\nmicrosteps = 8063\n'
+    file.write_text(HEAD + BOX + MOTOR + ALP + lift.format("ttyUSB7"))
+    assert main(["rig", "check", str(file)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "lift zaber" in told and "part believed: the lift counts its steps" in told
+    controller = rig(BOX, MOTOR, ALP).setup.controller
+    assert controller is not None and controller.port is not None
+    with pytest.raises(JobError, match="lift.port: is that of another machine"):
+        rig(BOX, MOTOR, ALP, lift.format("x").replace("/dev/x", controller.port))
 
 
 TOYS = '''

@@ -13,14 +13,14 @@ from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, VirtualPort
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
 SECOND = 1_000_000_000
 
 
 def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
-    return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
+    return Wire(VirtualPort(machine, clock, timeout_s, faults=faults), "the machine")
 
 
 def test_the_zaber_stage_over_a_socket() -> None:

@@ -17,7 +17,7 @@ from vamgpu.hosts.drivers.tic import TicStage
 from vamgpu.hosts.drivers.tmc2209 import Tmc2209Stage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import Faults, plug
+from vamgpu.hosts.emulators.line import Faults, VirtualPort
 from vamgpu.hosts.rigs.config import parse_rig
 
 ticlib: Any = pytest.importorskip("ticlib", reason='pip install "vamgpu[tic]"')
@@ -27,22 +27,22 @@ OWN = Dialogue("P\n", r"^pos (?P<steps>-?\d+)$", "V {steps_per_s:.2f}\n", "S\n",
 
 
 def tic_of(machine: EmulatedTic, clock: VirtualClock, faults: Faults | None = None) -> TicStage:
-    wire = Wire(plug(machine, clock, 0.1, faults=faults), "the Tic")
+    wire = Wire(VirtualPort(machine, clock, 0.1, faults=faults), "the Tic")
     return TicStage(ticlib.TicSerial(wire.port), wire, "the Tic", TURN, pause=pause(clock))
 
 
 def tmc_of(machine: EmulatedTmc2209, clock: VirtualClock, faults: Faults | None = None) -> Tmc2209Stage:
-    wire = Wire(plug(machine, clock, 0.02, 115200, faults), "the TMC2209")
+    wire = Wire(VirtualPort(machine, clock, 0.02, 115200, faults), "the TMC2209")
     return Tmc2209Stage(wire, 51200 / 360, clock=clock, pause=pause(clock))
 
 
 def grbl_of(machine: EmulatedGrbl, clock: VirtualClock, microsteps: float = 80.0) -> GrblStage:
-    wire = Wire(plug(machine, clock, 0.1), "the board")
+    wire = Wire(VirtualPort(machine, clock, 0.1), "the board")
     return GrblStage(wire, grbl("XYZ"[machine.axis]), microsteps, pause=pause(clock))
 
 
 def own_of(machine: EmulatedFirmware, clock: VirtualClock, says: Dialogue = OWN) -> TextStage:
-    return TextStage(Wire(plug(machine, clock, 0.1), "the board"), says, TURN, pause=pause(clock))
+    return TextStage(Wire(VirtualPort(machine, clock, 0.1), "the board"), says, TURN, pause=pause(clock))
 
 
 def pause(clock: VirtualClock) -> Callable[[float], None]:
@@ -306,7 +306,7 @@ def test_a_firmware_that_refuses_or_says_nothing() -> None:
     clock.sleep(SECOND)
     assert quiet.position() == pytest.approx(20.0, rel=0.02)
     with pytest.raises(BadInput, match="are impossible"):
-        TextStage(Wire(plug(EmulatedFirmware(), clock), "the board"), OWN, 0.0)
+        TextStage(Wire(VirtualPort(EmulatedFirmware(), clock), "the board"), OWN, 0.0)
     stuck: Any = own_of(EmulatedFirmware(), clock)
     stuck._patience = 1.0
     stuck._wire.port.machine.track.run = lambda now, speed: None

@@ -11,7 +11,7 @@ from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.line import Faults, plug
+from vamgpu.hosts.emulators.line import Faults, VirtualPort
 from vamgpu.hosts.rigs.config import parse_rig
 
 pytest.importorskip("thorlabs_apt_protocol", reason='pip install "vamgpu[thorlabs]"')
@@ -26,7 +26,7 @@ def stage_of(
     faults: Faults | None = None,
     patience: float = 60.0,
 ) -> ThorlabsStage:
-    wire = Wire(plug(machine, clock, 0.1, faults=faults), "the cube")
+    wire = Wire(VirtualPort(machine, clock, 0.1, faults=faults), "the cube")
     return ThorlabsStage(wire, counts, patience_s=patience, pause=lambda s: clock.sleep(round(s * SECOND)))
 
 

@@ -133,7 +133,7 @@ BOARDS: dict[str, tuple[Any, Any, float, str]] = {
 
 
 @pytest.mark.parametrize("board", BOARDS)
-@pytest.mark.parametrize("speed", (6.0, 60.0))
+@pytest.mark.parametrize("speed", (pytest.param(6.0, marks=pytest.mark.slow), 60.0))
 def test_a_stepper_turns_a_vial_before_a_projector(board: str, speed: float, tmp_path: Path) -> None:
     made, stage_on, per_degree, _ = BOARDS[board]
     machine = made()

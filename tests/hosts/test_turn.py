@@ -11,9 +11,10 @@ from test_planning import vial
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
-from vamgpu.hosts.calibrate.connection import opened_turn
+from vamgpu.hosts.calibrate.connection import opened_turn, turning
+from vamgpu.hosts.calibrate.machines import CalibrationMachines
 from vamgpu.hosts.calibrate.report import keep
-from vamgpu.hosts.calibrate.turn import TurnMachines, turn
+from vamgpu.hosts.calibrate.turn import turn
 from vamgpu.hosts.emulators.calibration import marked_vial
 from vamgpu.hosts.rig import plan
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
@@ -22,11 +23,14 @@ CAMERA = '\n[[feedback]]\ndriver = "camera"\nproducer = "a.cti"\nexposure = "5 m
 OPENCAL = (Path(__file__).parents[2] / "docs" / "rigs" / "opencal.toml").read_text("utf-8") + CAMERA
 
 
-def emulated(rig: RigConfig, ratio: float = 1.009) -> TurnMachines:
-    return TurnMachines(rig.setup, *marked_vial(ratio))
+def emulated(rig: RigConfig, ratio: float = 1.009) -> CalibrationMachines:
+    return turning(rig.setup, *marked_vial(ratio))
 
 
-@pytest.mark.parametrize(("ratio", "speed"), ((0.87, 60.0), (1.0, 6.0), (1.00925, 40.0), (1.15, 6.0)))
+SPEEDS = [pytest.param(*case, marks=pytest.mark.slow) for case in ((0.87, 60.0), (1.0, 6.0), (1.00925, 40.0))]
+
+
+@pytest.mark.parametrize(("ratio", "speed"), [*SPEEDS, (1.15, 6.0)])
 def test_the_turn_is_found_within_its_error(ratio: float, speed: float) -> None:
     found = turn(emulated(parse_rig(OPENCAL), ratio), speed=speed, turns=4).numbers
     assert found["error"] < 1e-4 and abs(found["ratio"] - ratio) < max(4 * found["error"], 2e-6)
@@ -80,6 +84,7 @@ def test_a_motion_stops_when_the_camera_fails() -> None:
     assert stopped == [40.0, 0.0]
 
 
+@pytest.mark.slow
 def test_prints_apply_it(tmp_path: Path) -> None:
     file = tmp_path / "lab.toml"
     file.write_text(OPENCAL, "utf-8")
@@ -106,4 +111,4 @@ def test_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         "prints apply it: not once more in the file"
     )
     assert (tmp_path / "turn" / "figure.png").stat().st_size
-    assert isinstance(opened_turn(read_rig("emulated"))[0], TurnMachines)
+    assert isinstance(opened_turn(read_rig("emulated"))[0], CalibrationMachines)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from vamgpu.hosts.player.video import SpinningPlayer
 from vamgpu.hosts.process.versions import sources_of
 from vamgpu.hosts.records.account import account
 from vamgpu.hosts.records.plans import keep
-from vamgpu.hosts.records.proof import _shown
+from vamgpu.hosts.records.proof import shown_frames
 from vamgpu.hosts.records.record import FrameRecord, RunFolder, RunRecord, read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, carry_out, plan, read_rig
@@ -390,7 +391,8 @@ def test_light_is_counted_and_proved_by_version(job: Path, run: Path) -> None:
     assert "1 may be overexposed: the brightest by 100 %" in str(missed.versions[0])
     frames = made.planned.jobs[0].frames
     assert frames is not None
-    shown = _shown(told, light, frames, 0, 0.0).irradiance(frames.device).numpy()
+    proof: Any = SimpleNamespace(frames=frames)
+    shown = shown_frames(told, light, proof).irradiance(frames.device).numpy()
     wanted = (frames.irradiance().numpy() + shades(made.planned, 40)[0].irradiance().numpy()) / 3
     assert np.allclose(shown, wanted, atol=1e-6), "over the three turns of the plan"
 

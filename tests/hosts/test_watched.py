@@ -11,7 +11,7 @@ import pytest
 
 import vamgpu
 from vamgpu.backend import open_device
-from vamgpu.cli.print import print_
+from vamgpu.cli.print import PrintOptions, print_
 from vamgpu.errors import BadInput, JobError, StorageError
 from vamgpu.hosts.live import live_print
 from vamgpu.hosts.live.live_print import RedCamera
@@ -213,16 +213,16 @@ def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
 
 def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
     with pytest.raises(BadInput, match="expected --rig emulated"):
-        print_("demo", "live", rig="lab.toml", out=run)
+        print_("demo", "live", rig="lab.toml", given=PrintOptions(out=run))
     with pytest.raises(BadInput, match="takes one job"):
-        print_(str(nut), rig="emulated", live=True, stop=0.3, out=run)
+        print_(str(nut), rig="emulated", given=PrintOptions(live=True, stop=0.3, out=run))
     with pytest.raises(BadInput, match="turns"):
         live(nut, turns=1)
     with pytest.raises(BadInput, match="longest"):
         live(nut, turns=6, longest=5)
     for given in (0, 1):
         with pytest.raises(BadInput, match=f"turns is {given}"):
-            print_(str(nut), rig="emulated", live=True, turns=given, out=run)
+            print_(str(nut), rig="emulated", given=PrintOptions(live=True, turns=given, out=run))
     with pytest.raises(BadInput, match="emulated machines"):
         lab = run.parent / "lab.toml"
         lab.write_text(REAL)
@@ -261,8 +261,9 @@ def test_a_camera_of_its_own_size_and_orientation_watches_as_well(nut: Path, run
     assert 0.5 < ended.decisions[0]["misfit"] < 1.5, "the noise of the resampled images is as it is said"
 
 
+@pytest.mark.slow
 def test_the_command_s_dry_run_cures_resin_and_writes_the_report(nut: Path, run: Path, capsys: Any) -> None:
-    assert print_(str(nut), rig="emulated", live=True, turns=3, speed="90", out=run) == 0
+    assert print_(str(nut), rig="emulated", given=PrintOptions(live=True, turns=3, speed="90", out=run)) == 0
     assert "proved overlap" in capsys.readouterr().out and (run / "live.html").is_file()
 
 

@@ -290,6 +290,7 @@ def planned_live(
     return told
 
 
+@pytest.mark.slow
 def test_a_planning_process_replaces_segments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     job, run = web(tmp_path / "web.vam"), tmp_path / "run"
     task = task_of(plan(job, read_rig("emulated"), rehearsed=True, turns=1), run)

@@ -22,7 +22,7 @@ from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import plug
+from vamgpu.hosts.emulators.line import VirtualPort
 from vamgpu.hosts.schedules.clock import Clock, RealClock
 
 ROWS, PERIOD_US, DELAY_US, ON_US, LEASE_MS = 40, 20_000, 8_000, 5_000, 200
@@ -85,7 +85,7 @@ def emulated() -> Edges:
     machine.on_light = light
     machine.on_trigger = lambda at: edges.triggers.append(at * 1e-9)
     machine.on_lens = lambda frame, at: edges.lens.append(at * 1e-9)
-    play(Controller(Wire(plug(machine, clock), "the emulated controller")), clock)
+    play(Controller(Wire(VirtualPort(machine, clock), "the emulated controller")), clock)
     return edges
 
 

@@ -18,7 +18,7 @@ const values = {}, images = {}, buttons = {};
 let heard = 0, wait = 0.25, lost = true, name = "lost", last = null, readings = -1, ended = null, pastDue = 0, prints = [], explained = null;
 let timer = 0, looking = false, again = false, drawnChecks = null, drawnClaims = null, drawnPast = null;
 const SURE = { guaranteed: "●", watched: "◐", believed: "○", "not there": "–" };
-const CHECKS = { images: "misfit of the images", conversion: "share of the conversion that the light does not explain" };
+const CHECKS = { images: "misfit of the images", conversion: "fraction of the conversion that the light does not explain" };
 const MOST = 2; // top of the plot of checks, in limits
 
 function made(tag, parent, text, type) {
@@ -72,7 +72,7 @@ function rows(now) {
   const age = now.renewed === null ? null : now.renewed + now.ago, silent = now.light && now.ago > SILENT;
   const leased = claim(now, "lease");
   const told = {
-    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") + (now.rehearsed ? ", emulated" : "")  + (unsensed(now, "light") ? ", as commanded: no machine tells" : "") : "off", now.light ? "lit" : ""],
+    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") + (now.rehearsed ? ", emulated" : "")  + (unsensed(now, "light") ? ", as commanded: no machine reports it" : "") : "off", now.light ? "lit" : ""],
     "time left": [now.ended ? "none: the print has ended" : time(now.left) + (now.waits === null ? "" : " of light"), ""],
     dose: [`${fixed(100 * now.spent, 1)} % of the plan`, ""],
     frame: [now.frame < 0 ? "none yet" : `${now.frame} (slot ${now.slot + 1}${now.slots ? ` of ${now.slots}` : ""})`, ""],
@@ -80,8 +80,8 @@ function rows(now) {
     interlock: (claim(now, "interlock") || {}).kind === "not there" ? ["not there", "warn"] : now.light && now.interlock_closed ? ["closed: the controller allows the light", ""] : now.ended ? ["no longer read", ""]
       : now.interlock_closed === null ? [now.state === "standby" ? "not read yet" : "not known", ""] : now.interlock_closed ? ["closed", ""] : ["OPEN: close the enclosure", "warn"],
     lease: leased && !leased.holds ? ["not there: the light may stay on if the host dies", "warn"] : !now.light || age === null ? ["light is off", ""]
-      : age > now.lease ? [`not renewed for ${ms(age)}: the controller has closed the light`, "warn"]
-      : [`light closes ${ms(now.lease - age)} after the host falls silent; last renewal ${ms(age)} ago`, silent ? "warn" : ""],
+      : age > now.lease ? [`not renewed for ${ms(age)}: the controller has switched the light off`, "warn"]
+      : [`light off ${ms(now.lease - age)} after the host falls silent; last renewal ${ms(age)} ago`, silent ? "warn" : ""],
   };
   if (now.focus !== null) told.lens = [`${now.focus > 0 ? "+" : ""}${now.focus.toFixed(3)} dpt`, ""];
   if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, measured while dark`, ""];
@@ -243,7 +243,7 @@ function checks(now) { // value over limit of each check, turn by turn; red beyo
   at("checks-reading").replaceChildren();
   for (const [text, type] of latest) made("span", at("checks-reading"), text, type);
   const beyond = now.checks.find((each) => each.value > each.limit);
-  if (beyond) made("strong", at("checks-reading"), `From turn ${beyond.turn} on, images do not decide; the planned light continues.`, "beyond");
+  if (beyond) made("strong", at("checks-reading"), `From turn ${beyond.turn} on, the images are not used; the planned light continues.`, "beyond");
 }
 
 async function scatter() {
@@ -316,7 +316,7 @@ function connection() {
   at("shape").firstElementChild.setAttribute("d", SHAPES.lost);
   put(at("state"), "connection lost");
   document.title = "connection lost";
-  const leased = last && claim(last, "lease"), closes = last && last.lease && !(leased && !leased.holds) ? ` The controller closes the light ${Math.round(1000 * last.lease)} ms after its host falls silent.` : "";
+  const leased = last && claim(last, "lease"), closes = last && last.lease && !(leased && !leased.holds) ? ` The controller switches the light off ${Math.round(1000 * last.lease)} ms after its host falls silent.` : "";
   put(at("lost"), heard ? `No answer for ${time(Math.max(1, age))}; the values below are old (${name}).${closes} A stop may not get through: use the switch at the machine.` : "No answer yet.");
   at("lost").hidden = false;
   for (const button of Object.values(buttons)) { button.disabled = true; button.title = "connection lost"; }

@@ -22,7 +22,7 @@ from vamgpu.hosts.drivers.controller_protocol import Status
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import Faults, plug
+from vamgpu.hosts.emulators.line import Faults, VirtualPort
 
 TURN = 30_000
 """The sketch looks at the line, the rows and the light once a turn of 10 us, and acts on them in turns of their own."""
@@ -181,7 +181,7 @@ class Conversation:
 
 def _conversation(machine: Any, latency_ms: float = 8.0) -> Conversation:
     clock, faults = VirtualClock(), Faults()
-    wire = Wire(plug(machine, clock, latency_ms / 1000, faults=faults), "the controller")
+    wire = Wire(VirtualPort(machine, clock, latency_ms / 1000, faults=faults), "the controller")
     return Conversation(machine, clock, Controller(wire), faults)
 
 

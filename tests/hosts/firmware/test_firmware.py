@@ -12,7 +12,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import plug
+from vamgpu.hosts.emulators.line import VirtualPort
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 TURN = 30_000
@@ -253,13 +253,13 @@ def test_what_was_shown_survives_the_host(conversation_with: NewConversation, ne
         emulated.ask(195, "move", 2_000_000)
         emulated.ask(205, "go", 5)
         emulated.clock.sleep_until(SECOND)
-        again = Controller(Wire(plug(machine, emulated.clock, 0.05), "the controller"))
+        again = Controller(Wire(VirtualPort(machine, emulated.clock, 0.05), "the controller"))
         seen = again.status()
         assert (seen.state, seen.row, seen.free, seen.shown, seen.play) == ("idle", 0, 256, 3, 5)
         assert seen.position >= 1580 and seen.zero == 0
         again.move(0.0)
         again.zero(4711)
-        seen = Controller(Wire(plug(machine, emulated.clock, 0.05), "the controller")).status()
+        seen = Controller(Wire(VirtualPort(machine, emulated.clock, 0.05), "the controller")).status()
         assert (seen.zero, seen.shown, seen.play) == (4711, 3, 5) and seen.position < 1580
         again.go(6)
         seen = again.status()
