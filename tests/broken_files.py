@@ -20,6 +20,7 @@ import traceback
 import warnings
 import zipfile
 from collections.abc import Callable
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from random import Random
@@ -32,11 +33,13 @@ from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.history import ResinHistory
 from vamgpu.chemistry.materials.resin import Resin
 from vamgpu.curethrough.resin import WorkingCurve, read_gray
+from vamgpu.curethrough.spectrum import LampSpectrum
 from vamgpu.curethrough.stack import layer_height, open_stack
 from vamgpu.errors import VamError
 from vamgpu.hosts.records.record import MAGIC, read_run
 from vamgpu.hosts.rigs.config import EMULATED, read_rig
 from vamgpu.jobs.curethrough import read_curethrough
+from vamgpu.jobs.cuvettes import CuvetteJob
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.foreign.drtvam import read_drtvam, read_task
 from vamgpu.jobs.foreign.pictures import Layout, read_pictures
@@ -45,8 +48,12 @@ from vamgpu.jobs.keys import EXAMPLES
 from vamgpu.jobs.limits import read_limits
 from vamgpu.jobs.read import read_job
 from vamgpu.jobs.web import read_web
+from vamgpu.printing.export import Canvas, export
+from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
+from vamgpu.scene import Scene
 from vamgpu.storage.films import write_film
+from vamgpu.storage.images import write_exr
 from vamgpu.storage.numpy_files import map_npy, read_npz
 from vamgpu.storage.tables import read_columns
 from vamgpu.targets.mesh import load_mesh
@@ -138,6 +145,17 @@ def goo() -> bytes:
     return bytes(head) + 2 * (bytes(64) + b"\r\n" + struct.pack(">I", len(layer)) + layer + b"\r\n")
 
 
+def ctb() -> bytes:
+    """Two layers of 5 × 4 pixels, without a key."""
+    packed = bytes([0x80, 9, 50, 0x80 | 127, 10])
+    head = bytearray(112)
+    struct.pack_into("<II", head, 0, 0x12FD0086, 2)
+    struct.pack_into("<II", head, 52, 5, 4)
+    struct.pack_into("<II", head, 64, 112, 2)
+    rows = [struct.pack("<3f6I", 0.05, 2.0, 0.0, 184 + k * len(packed), len(packed), 0, 36, 0, 0) for k in (0, 1)]
+    return bytes(head) + b"".join(rows) + 2 * packed
+
+
 def sinogram() -> bytes:
     """A pickle of VAMToolbox, without its classes."""
     return pickle.dumps(np.arange(60.0, dtype=np.float32).reshape(3, 4, 5))
@@ -150,18 +168,26 @@ def film() -> bytes:
 
 
 def packages() -> bytes:
-    """A 3MF package with components, two files, a cutter and words of PrusaSlicer."""
+    """A 3MF package with components, two files, names, a beam lattice and words of PrusaSlicer."""
     corners = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x in (0, 9) for y in (0, 9) for z in (0, 9))
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     faces = "".join(f'<triangle v1="{i}" v2="{a}" v3="{b}"/>' for i, j, k, m in sides for a, b in ((j, k), (k, m)))
     mesh = f"<mesh><vertices>{corners}</vertices><triangles>{faces}</triangles></mesh>"
+    beams = '<b:beam v1="0" v2="1"/><b:beam v1="1" v2="3" r1="0.5" r2="0.8" cap1="butt" cap2="hemisphere"/>'
+    balls = '<c:balls><c:ball vindex="1" r="2"/></c:balls>'
+    lattice = f'<b:beamlattice radius="1" minlength="0.1" c:ballmode="mixed"><b:beams>{beams}</b:beams>{balls}'
+    rods = f"<mesh><vertices>{corners}</vertices><triangles/>{lattice}</b:beamlattice></mesh>"
     spaces = (
         'unit="millimeter" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
+        'xmlns:b="http://schemas.microsoft.com/3dmanufacturing/beamlattice/2017/02" '
+        'xmlns:c="http://schemas.microsoft.com/3dmanufacturing/beamlattice/balls/2020/07" '
         'xmlns:p="http://schemas.microsoft.com/3dmanufacturing/production/2015/06" requiredextensions="p"'
     )
     part = '<component objectid="1" p:path="/3D/b.model" transform="1 0 0 0 1 0 0 0 1 2 3 4"/>'
     root = f'<object id="1" type="model">{mesh}</object><object id="2"><components>{part}</components></object>'
+    root += f'<object id="3" name="insert rods">{rods}</object>'
     items = '<item objectid="1"/><item objectid="2" printable="1" transform="2 0 0 0 2 0 0 0 2 30 0 0"/>'
+    items += '<item objectid="3"/>'
     words = '<metadata type="volume" key="volume_type" value="ModelPart"/>'
     return zipped({
         "3D/3dmodel.model": f"<model {spaces}><resources>{root}</resources><build>{items}</build></model>".encode(),
@@ -171,7 +197,21 @@ def packages() -> bytes:
     })  # fmt: skip
 
 
-DRTVAM = {
+def exported(place: Path) -> dict[str, bytes]:
+    """Images of `vam export --png` and their description, first."""
+    levels = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
+    packed = Frames.from_bytes(levels, "numpy", bits=8, gray=GrayCurve.gamma(2.2), scale=1.0, columns=3)
+    folder = export(packed, place / "exported", canvas=Canvas((9, 8), repeats=2))
+    return {file.name: file.read_bytes() for file in sorted(folder.iterdir(), key=lambda file: file.suffix != ".json")}
+
+
+def exr() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write_exr(Path(folder) / "a.exr", np.linspace(0.0, 2.0, 20, dtype=np.float32).reshape(4, 5))
+        return (Path(folder) / "a.exr").read_bytes()
+
+
+DRTVAM: dict[str, Any] = {
     "vial": {"type": "cylindrical", "r_int": 7, "r_ext": 8, "ior": 1.54,
              "medium": {"ior": 1.4, "extinction": 0.1, "albedo": 0.0}},
     "projector": {"type": "collimated", "n_patterns": 4, "resx": 6, "resy": 5, "pixel_size": 0.5, "motion": "circular"},
@@ -206,27 +246,52 @@ def sound_files(place: Path) -> None:
     sound("zip of slices", slices, zipped(pictures), "a.zip")
     sound("SL1", slices, zipped({"config.ini": config, **pictures}), "a.sl1")
     sound("goo", slices, goo(), "a.goo")
+    sound("ctb", slices, ctb(), "a.ctb")
     for ending, data in (("png", picture("PNG")), ("tif", picture("TIFF", compression="tiff_lzw"))):
         sound(f"{ending} slice", lambda file: slices(file.parent), data, f"s1.{ending}")
         sound(f"{ending} pattern", lambda file: read_pictures(file.parent, Layout()), data, f"1.{ending}")
+    npz = zipped({"patterns.npy": npy("(4, 5, 6)", "|u1", bytes(range(120)))})
+    sound("patterns alone", lambda file: read_pictures(file, Layout()), npz, "a.npz")
     sound("film", lambda file: read_pictures(file, Layout()), film(), "a.mp4")
+    sound("roles in names", lambda file: Scene.from_3mf(file, roles="names"), packages(), "a.3mf")
+    SOUND["exported images"] = (exported(place), lambda file: read_pictures(file.parent, Layout()))
+    if find_spec("OpenEXR"):
+        sound("EXR pattern", lambda file: read_pictures(file.parent, Layout()), exr(), "1.exr")
     array = npy("(3, 4, 5)", "<f4", np.arange(60, dtype="<f4").tobytes())
     sound("NPY", lambda file: np.array(map_npy(file)), array, "a.npy")
     sound("NPZ", read_npz, zipped({"patterns.npy": array, "scale.npy": array}), "a.npz")
     sound("sinogram", read_vamtoolbox, sinogram(), "a.sino")
     sound("NPY sinogram", read_vamtoolbox, array, "a.npy")
+    sound("target", lambda file: read_vamtoolbox(file.parent / "a.sino", file), sinogram(), "b.pkl", a_sino=sinogram())
     drtvam = json.dumps(DRTVAM).encode()
     patterns = zipped({"patterns.npy": npy("(4, 5, 6)", "<f4", np.ones(120, "<f4").tobytes())})
     sound("Dr.TVAM", read_drtvam, drtvam, "a.json", patterns_npz=patterns, part_stl=part)
     sound("Dr.TVAM's task", read_task, drtvam, "a.json", part_stl=part)
+    square = DRTVAM | {
+        "vial": {"type": "square", "w_int": 8, "w_ext": 9, "ior": 1.5, "medium": DRTVAM["vial"]["medium"]}
+    }
+    sound("its square vial", read_task, json.dumps(square).encode(), "a.json", part_stl=part)
+    preset = {
+        "stl_path": "part.stl",
+        "part_height_mm": 9.0,
+        "vial_radius_mm": 12.0,
+        "throw_ratio": 2.0,
+        "diffusion": True,
+    }
+    sound("preset", read_task, json.dumps(preset).encode(), "a.json", part_stl=part)
     beside = {"a_json": drtvam, "part_stl": part}
     sound("its patterns", lambda file: read_drtvam(file.parent / "a.json"), patterns, "patterns.npz", **beside)
     sound("table", read_columns, CURVE, "a.csv")
     sound("working curve", lambda file: WorkingCurve.read(file, 0.1), CURVE, "a.csv")
+    sound("lamp", LampSpectrum.read, b"light;absorption\n1;0.5\n2;0.25\n", "a.csv")
     sound("gray levels", read_gray, GRAY, "a.csv")
     for name, read, text in (
         ("job", read_job, JOB), ("web", read_web, EXAMPLES["web"]), ("limits", read_limits, EXAMPLES["machine"]),
         ("slices' job", read_curethrough, EXAMPLES["slices"]), ("rig", read_rig, EMULATED),
+        ("cuvettes", CuvetteJob.read,
+         '[cuvette]\nwidth = "10 mm"\nwall = "1 mm"\nresin_index = 1.48\nwall_index = 1.52\nbeam = "1 mm"\n'
+         'screen = "25 mm"\npixel = "0.25 mm"\nhole = "6 mm"\ndark = 9.0\nerror = "2 %"\n'
+         '[[sample]]\nthickness = "1 mm"\ncollimated = 0.5\ntotal = 0.8\n'),
         ("gray curve", GrayCurve.load, "[gray]\nlevels = [0, 100, 255]\nintensity = [0.0, 3.0, 10.0]\n"),
         ("spread", lambda file: PointSpread.load(file, 0.01),
          'calibration = "mtf"\n[measured]\npositions_mm = [-1.0, 0.0, 1.0]\nblur_mm = [0.02, 0.01, 0.02]\n'

@@ -107,6 +107,7 @@ class Studio:
                     "kind": "vial",
                     "part": "benchy.stl",
                     "result": made,
+                    "verdict": None if self.result is None else self.result["verdict"],
                     "state": "invalid" if error else state,
                     "error": "",
                 }
@@ -116,6 +117,7 @@ class Studio:
             else [
                 {
                     "id": name,
+                    "kind": "vial",
                     "modified": now,
                     "job": job,
                     "bytes": 81233,

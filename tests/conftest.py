@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import gc
+import os
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache, partial
 from importlib import metadata
 from inspect import isgenerator
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pyopencl
@@ -18,6 +22,7 @@ from needs import missing
 import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.kernels import footprint, proof, traced
+from vamgpu.targets import shapes
 
 settings.register_profile("same", derandomize=True, deadline=None)  # every run tries the same cases …
 settings.register_profile("search", deadline=None)  # … and pytest --hypothesis-profile=search tries new ones
@@ -30,6 +35,10 @@ KINDS = {
 }
 """Beginning of a device name → why a machine must have one."""
 
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+"""Number of this process among those that share the tests."""
+MANY = 6
+"""Cases of a contract from which on they share the devices that stand for others."""
 GPU_LAYOUT = " in GPU layout"
 """Ending of the name of an OpenCL processor that is treated as a GPU: four lanes an item, and work-groups."""
 
@@ -96,6 +105,49 @@ def pytest_configure(config: pytest.Config) -> None:
         device_list()
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """Every other worker starts at the end, so that each compiles half of the tests and finds the rest compiled."""
+    report: Any = yield
+    if isinstance(collector, pytest.Dir) and WORKER % 2:
+        report.result.reverse()
+    return report
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Workers begin with what may take minutes, and devices that stand for others share the cases of a contract.
+
+    These are the reference, Warp on a processor and a GPU's layout on one. Processors and GPUs meet every case, and so
+    do all devices with -m slow.
+    """
+    items.sort(key=lambda item: (item.get_closest_marker("timeout") is None, item.path))
+    shared: Any = defaultdict(lambda: defaultdict(list))
+    for item in items:
+        if isinstance(item, pytest.Function) and (name := _sharing(item)):
+            shared[item.path, item.originalname][item.callspec.id.replace(name, "")].append(item)
+    for (_, test), cases in shared.items():
+        for case, same in cases.items():
+            chosen = crc32(f"{test}{case}".encode()) % len(same)  # the same in any collection
+            for item in same[:chosen] + same[chosen + 1 :]:
+                if len(cases) >= MANY:
+                    item.add_marker(pytest.mark.slow)
+
+
+def _sharing(item: pytest.Function) -> str:
+    """The device of a test, if it shares cases; the contract of kernels meets all but second drivers."""
+    given: dict[str, Any] = item.callspec.params if hasattr(item, "callspec") else {}
+    name = given.get("device", given.get("fast_device", ""))
+    stands = name in ("numpy", "warp:cpu") or name.endswith(GPU_LAYOUT)
+    contract = item.path.parent.name == "contracts" and item.path.name != "test_kernels.py"
+    return name if stands and contract and not _is_second(name) else ""
+
+
+def pytest_collection_finish() -> None:
+    """What thousands of collected tests consist of is never garbage, and need not be searched for it again."""
+    gc.freeze()
+    gc.enable()
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test once for every device, by the name of the fixture it asks for."""
     choices = {
@@ -107,25 +159,26 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         ),
         "opencl_processor": [name for name in opencl if not vamgpu.open_device(name).is_gpu],
     }
-    file = Path(metafunc.definition.path)
+    is_close = _is_close(Path(metafunc.definition.path))
+    every_device = metafunc.definition.get_closest_marker("every_device") is not None
     for fixture, names in choices.items():
         if fixture in metafunc.fixturenames:
-            met = [name for name in names if _is_met(name, fixture, file)]
-            late = [_is_slow(name, file) or (fixture == "opencl_device" and GPU_LAYOUT in name) for name in met]
+            met = [name for name in names if _is_met(name, every_device, is_close)]
+            late = [_is_second(name) or (fixture == "opencl_device" and GPU_LAYOUT in name) for name in met]
             marked = [pytest.param(n, marks=pytest.mark.slow) if slow else n for n, slow in zip(met, late, strict=True)]
             metafunc.parametrize(fixture, marked, indirect=True)
 
 
-def _is_met(device: str, fixture: str, file: Path) -> bool:
-    """Kernels and operators agree on all devices, by the contracts: other tests meet the reference and a processor."""
-    if device in _processors()[1:]:  # one more driver for the same layout
-        return file.name == "test_kernels.py" or (fixture.startswith("opencl_") and _is_close(file))
-    return _is_close(file) or not (device == "warp:cpu" or device.endswith(GPU_LAYOUT))
+def _is_met(device: str, every_device: bool, is_close: bool) -> bool:
+    """Kernels and operators agree on all devices, by the contracts: other tests meet one processor."""
+    if _is_second(device):
+        return every_device
+    return is_close or every_device or not (device in ("warp:cpu", "numpy") or device.endswith(GPU_LAYOUT))
 
 
-def _is_slow(device: str, file: Path) -> bool:
-    """A second processor is one more driver; beyond the contracts the reference is one more device."""
-    return device.removesuffix(GPU_LAYOUT) in _processors()[1:] or (device == "numpy" and not _is_close(file))
+def _is_second(device: str) -> bool:
+    """Whether it is one more driver for processors, which runs each kernel once."""
+    return device.removesuffix(GPU_LAYOUT) in _processors()[1:]
 
 
 def _is_close(file: Path) -> bool:
@@ -171,12 +224,29 @@ def shares_of_a_pose_are_found_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def shapes_are_built_once() -> Iterator[None]:
+    """A boat takes longer than to solve a small job of it, and nobody can change a solid."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, built in shapes._SHAPES.items():
+            patch.setitem(shapes._SHAPES, name, cache(built))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def proofs_look_at_few_points() -> Iterator[None]:
     """Distances and walls are tested with the judge of surfaces; proofs and pages elsewhere only pass them on."""
+    from vamgpu.metrics import thin_regions
     from vamgpu.printing import judgement
+    from vamgpu.printing import proof as proofs
+
+    def unjudged(*given: Any) -> thin_regions.Unjudged:
+        with pytest.MonkeyPatch.context() as few:
+            few.setattr(thin_regions, "_LEAST", 1_000)
+            return thin_regions.unjudged(*given)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(judgement, "judge_surface", partial(judgement.judge_surface, samples=1_000))
+        patch.setattr(proofs, "unjudged", unjudged)
         yield
 
 

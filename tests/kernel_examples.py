@@ -11,6 +11,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.kernels.catalog import kernels
+from vamgpu.kernels.depth import NO_CUT, SIDE, cut_voxels, nearest_cut
 from vamgpu.kernels.histogram import tally
 from vamgpu.kernels.photons import WAYS
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
@@ -21,7 +22,7 @@ from vamgpu.kernels.spectrum import ROWS, in_groups, most_lit_first
 class Example:
     """Inputs of a kernel.
 
-    sizes: of its named axes; 0 where the device decides.  given: tables and scalars by name, or a function of the
+    sizes: of its named axes; 0 where the device decides.  given: arrays and scalars by name, or a function of the
     device and the arguments before it; what is not given is random.  combine: how partial results add up, by name.
     below: what random fields, from 0 to 1 without, are lowered by.
     """
@@ -97,7 +98,8 @@ def _array(
     device: Device, spec: Field | Table, shape: tuple[int, ...], name: str, example: Example, rng: np.random.Generator
 ) -> DeviceArray:
     if isinstance(spec, Field):
-        return _field(device, (rng.random(shape) - example.below).astype(np.float32))
+        values = example.given[name] if name in example.given else rng.random(shape) - example.below
+        return _field(device, np.asarray(values, np.float32))
     if name in example.given:
         return device.table(np.asarray(example.given[name]), spec.dtype)
     if spec.writes:
@@ -140,11 +142,6 @@ def _light(n: int) -> dict[str, int]:
 def _watched(n: int, **given: Any) -> Example:
     sizes = {**_light(n), **({"shot": 1} if given else {})}
     return Example(sizes, {"reached": np.linspace(-0.2, 1.0, sizes["r"]).clip(0.0), **given})
-
-
-def _straight(n: int) -> Example:
-    sizes = {**_volume(n), **_light(n)}
-    return Example(sizes, {"directions": _poses(sizes["angle"]), "pitch": 0.1})
 
 
 def _footprint(n: int) -> Example:
@@ -315,6 +312,54 @@ def _surveyed(n: int) -> Example:
 
 def _folded(n: int) -> Example:
     return Example({"strip": n // 8 + 1, "z": n, "slice": n, "bin": 64})
+
+
+def _cut(n: int) -> tuple[dict[str, int], dict[str, np.ndarray]]:
+    """A ball beside a plate that ends at the grid's edge, and the voxels that their surfaces cut."""
+    sizes = _volume(n)
+    x, y, z = np.meshgrid(*(np.arange(count) / n for count in sizes.values()), indexing="ij")
+    ball = 0.3 - np.sqrt((x - 0.4) ** 2 + (y - 0.45) ** 2 + (z - 0.5) ** 2)
+    fraction = np.clip(0.5 + n * np.maximum(ball, 0.13 - np.abs(x + 0.4 * y - 1.2)), 0.0, 1.0).astype(np.float32)
+    found = {"fraction": fraction, "place": np.empty_like(fraction), "steps": np.empty_like(fraction)}
+    cut_voxels.definition(*found.values())
+    return sizes, found
+
+
+def _cut_voxels(n: int) -> Example:
+    sizes, cut = _cut(n)
+    combine = {"place": lambda place: np.minimum(place, 9.0), "steps": lambda steps: 1.0 * (steps < NO_CUT)}
+    return Example(sizes, {"fraction": cut["fraction"]}, combine)
+
+
+def _nearest(n: int, axis: int) -> Example:
+    """Steps along each axis, and squared distances, are compared: packed numbers are much greater."""
+
+    def unpacked(steps: np.ndarray) -> np.ndarray:
+        return np.stack([steps // SIDE**k % SIDE for k in range(3)] + [steps // SIDE**3]) * (steps < NO_CUT)
+
+    sizes, cut = _cut(n)
+    return Example(sizes, {"steps": cut["steps"], "axis": axis, "span": 5}, {"nearest": unpacked})
+
+
+def _measured(n: int) -> Example:
+    """All slices but the first and the last two."""
+    sizes, cut = _cut(n)
+    for axis in range(3):
+        nearest_cut.definition(cut["steps"].copy(), axis, 5, cut["steps"])
+    given = {"first": 1, "lanes": lambda _, arrays: arrays["fraction"], "reach": 4.0, "pitch": 0.3}
+    return Example({**sizes, "source": sizes["z"], "z": sizes["z"] - 3}, {**cut, **given})
+
+
+def _by_depth(n: int) -> Example:
+    """Depths to both sides of the surface, also beyond the last step; rows without and with voxels that count."""
+    sizes = _array_sizes(n)
+    row = np.arange(sizes["i"])
+    ends = np.stack([row % 5, np.where(row % 4, sizes["j"] - row % 3, 0)], axis=1)
+    combine = {
+        "least": lambda each: np.minimum(each.min(axis=0), 9.0), "counts": lambda each: each.sum(axis=0),
+        "greatest": lambda each: np.maximum(each.max(axis=0), -9.0),
+    }  # fmt: skip
+    return Example({**sizes, "part": 0, "bin": 14}, {"ends": ends, "width": 0.037, "rounding": 1e-4}, combine, 0.5)
 
 
 PLACE = {"shift_r": 2, "shift_z": -1, "part_r": 0.25, "part_z": 0.5, "flip_r": 1, "flip_z": 0}
@@ -513,6 +558,11 @@ def _lit_through(n: int) -> Example:
     return Example({**sizes, "s": int(2 * radius / 0.9) + 2}, given)
 
 
+def _whole(n: int) -> np.ndarray:
+    """Whole numbers 2 to 4."""
+    return np.random.default_rng(5).integers(2, 5, tuple(_array_sizes(n).values())).astype(float)
+
+
 def _resin(n: int) -> Example:
     given = {"visible_gain": 0.4, "ultraviolet_gain": 0.7, "cross_gain": 0.05, "alpha": 0.8, "pairing": 0.3}
     return _elementwise(n, **given, floor=0.05)
@@ -638,8 +688,6 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "transport": _transported,
     "column_density": _lit_through,
     "expose": _lit_through,
-    "forward_joseph": _straight,
-    "back_joseph": _straight,
     "forward_footprint": _footprint,
     "back_footprint": _footprint,
     "forward_oblique": lambda n: _oblique(n, "volume"),
@@ -648,9 +696,6 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "put_slices": _stacked,
     "to_lanes": lambda n: Example(_array_sizes(n)),
     "from_lanes": lambda n: Example(_array_sizes(n)),
-    "copy_slices": lambda n: Example(
-        {**_array_sizes(n), "source": 6}, {"first": -2, "lanes": lambda _, arrays: arrays["source"]}
-    ),
     "shift_images": _shifted,
     "blur_planes": lambda n: Example({**_array_sizes(n), "tap": 9}),
     "blur_slices": lambda n: Example({**_array_sizes(n), "tap": 9}),
@@ -661,7 +706,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "linear": lambda n: _elementwise(n, a=0.5, b=-1.5, floor=-0.4),
     "multiply": lambda n: _elementwise(n),
     "apply_penalty": lambda n: _partial(n, weight=0.1, power=3.0, hold=1, most=0.9),
-    "primal_step": lambda n: _partial(n, step=0.7),
+    "primal_step": lambda n: _partial(n, step=0.7, most=0.6),
     "dual_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, reach=0.4 * n),
     "find_levels": lambda n: _partial(n, least=0.8, leak=1.7, reach=0.4 * n, rim=0.3),
     "clip_dose": lambda n: _elementwise(n, least=0.8, leak=1.7, relax=1.6, reach=0.4 * n, rim=0.3),
@@ -692,6 +737,10 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "fold_counts": _folded,
     "survey": _surveyed,
     "fold_survey": _folded,
+    "cut_voxels": _cut_voxels,
+    "nearest_cut": lambda n: _nearest(n, axis=n % 3),
+    "signed_depths": _measured,
+    "tally_depths": _by_depth,
     "count_light": lambda n: _frames(n, drop=20, prefix=0),
     "quantize": lambda n: _frames(n, gain=0.8, carry=0.0),
     "fold_bits": _bits,
@@ -717,6 +766,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "count_crossings": lambda n: _solid(n, listed=False),
     "voxelize": _solid,
     "photons": _scattered,
+    "sum_bins": lambda n: Example({"column": 3, "cell": 8 * n + 5, "bin": 7, "term": 3}),
     "trace_entries": _entries,
     "survey_rays": lambda n: _marched(n, _slices(n), 5),
     "forward_traced": _through,
@@ -729,6 +779,11 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "inhibit": _inhibited,
     "inhibition_step": _resin,
     "inhibition_adjoint": _resin,
+    "raise_peak": lambda n: _elementwise(n, alpha=0.8, number=3.5, when=_whole(n)),
+    "add_peak_slope": lambda n: _elementwise(n, alpha=0.8, number=3.0, when=_whole(n)),
+    "oxygen_step": lambda n: _elementwise(n, gain=0.7, floor=0.05),
+    "oxygen_adjoint": lambda n: _elementwise(n, gain=0.7, floor=0.05),
+    "consume_oxygen": lambda n: _elementwise(n, gain=0.7, floor=0.05),
     "take_poses": _run_of_poses,
     "put_poses": _run_of_poses,
     "shift_window": _banded,

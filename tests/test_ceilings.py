@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from needs import missing
+from trees import tree_of
 
 ROOT = Path(__file__).resolve().parent.parent
 CEILINGS: dict[str, int] = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["vamgpu"]["ceilings"]
@@ -32,7 +33,7 @@ def lines(text: str) -> int:
 def longest(text: str) -> tuple[int, str]:
     """Lines of the longest function of a module without its docstring, and its name."""
     found = [(0, "")]
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree_of(text)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             said = lines(ast.get_docstring(node, clean=False) or "")
             found.append(((node.end_lineno or node.lineno) - node.lineno + 1 - said, node.name))

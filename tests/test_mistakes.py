@@ -67,6 +67,10 @@ MISTAKES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "pixels in µm": (lambda s: vam.Beam((16, 4), 67), r"Beam pitch \[mm\] is 67; .* if 67 um was meant"),
     "pixels in metres": (lambda s: vam.Beam((16, 4), 67e-6), "if 6.7e-05 m was meant"),
     "voxels in µm": (lambda s: vam.Grid((8, 8, 8), 67), r"Grid pitch \[mm\] is 67; expected at most 25 mm.*67 um was"),
+    "phase function by name": (
+        lambda s: vam.Scattering(0.6, phase=cast(Any, "henyey")),
+        "Scattering phase is 'henyey'; expected pairs of an angle .* anisotropy sets",
+    ),
     "loss that is a number": (
         lambda s: solved(s, VoxelLoss(np.square, part=cast(Any, 3))),
         "part of a VoxelLoss is 3; expected a funct",

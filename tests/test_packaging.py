@@ -141,13 +141,12 @@ def runs(python: str) -> bool:
     return shutil.which(python) is not None and subprocess.run([python, "-V"], capture_output=True).returncode == 0
 
 
-PYTHONS = [name for name in ("python3.11", "python3.12", "python3.13", "python3.14") if runs(name)] or [sys.executable]
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("python", ["python3.11", "python3.12", "python3.13", "python3.14"])
 def test_an_sdist_installs_into_an_empty_environment(python: str, tmp_path: Path) -> None:
+    if not runs(python):
+        pytest.skip(f"no {python} here")
     place = tmp_path / "empty"
     subprocess.run([python, "-m", "venv", str(place)], check=True)
     subprocess.run([str(place / "bin" / "pip"), "install", "-q", str(built_sdist(tmp_path))], check=True)

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from trees import tree_of
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = {"keys.md", "gallery.md"}
@@ -117,7 +118,7 @@ def modules(*packages: str) -> dict[Path, ast.Module]:
     if len(packages) > 1:
         return {path: tree for package in packages for path, tree in modules(package).items()}
     files = [path for package in packages for path in sorted((ROOT / package).rglob("*.py"))]
-    return {path: ast.parse(path.read_text("utf-8")) for path in files if not path.is_symlink()}
+    return {path: tree_of(path.read_text("utf-8")) for path in files if not path.is_symlink()}
 
 
 def texts(node: ast.AST) -> Iterator[tuple[int, str]]:

@@ -9,6 +9,8 @@ from vamgpu.chemistry.efficiency import RotatingLight as RotatingLight
 from vamgpu.chemistry.exposure_plan import plan_exposure as plan_exposure
 from vamgpu.chemistry.induction import fit_induction as fit_induction
 from vamgpu.chemistry.materials import Resin as Resin
+from vamgpu.chemistry.oxygen import Oxygen as Oxygen
+from vamgpu.chemistry.oxygen import OxygenModel as OxygenModel
 from vamgpu.chemistry.phase_plane import stationary as stationary
 from vamgpu.chemistry.printrun import PrintRun as PrintRun
 from vamgpu.geometry import Beam as Beam
@@ -77,13 +79,14 @@ from vamgpu.printing.proof import Proof as Proof
 from vamgpu.printing.simulate import simulate as simulate
 from vamgpu.scene import Body as Body
 from vamgpu.scene import Scene as Scene
+from vamgpu.scene.sampled_medium import SampledMedium as SampledMedium
 from vamgpu.targets.designs import gray_wedges as gray_wedges
 from vamgpu.targets.designs import usaf as usaf
 from vamgpu.targets.spiral import Spiral as Spiral
 from vamgpu.targets.target import Target as Target
+from vamgpu.travel import Travel as Travel
 from vamgpu.web import WebGrid as WebGrid
 from vamgpu.webs.stream import Stream as Stream
-from vamgpu.webs.timetable import timetable as timetable
 
 __all__: list[str]
 __version__: str

@@ -23,7 +23,7 @@ class Renamed:
         owner.__annotations__.pop(name, None)  # `dataclass` would read the attribute and cause a warning
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        message = f"{self.old} is called {self.new} now; the old name goes with the next release"
+        message = f"{self.old} is called {self.new} now; the next release removes the old name"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return getattr(owner if instance is None else instance, self.new)
 
@@ -37,7 +37,7 @@ def named_arguments(*names: str) -> Callable[[F], F]:
             if args and isinstance(args[0], int):
                 what = ", ".join(f"{name}=" for name in names[: len(args)])
                 warnings.warn(
-                    f"{function.__qualname__} takes {what} by name; arguments by position end with the next release",
+                    f"{function.__qualname__} takes {what} by name; the next release refuses them by position",
                     DeprecationWarning, stacklevel=2,
                 )  # fmt: skip
                 given, args = {**dict(zip(names, args, strict=False)), **given}, ()

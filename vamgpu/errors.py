@@ -43,7 +43,7 @@ class TileError(BadInput):
 
 
 class SkippedColumns(BadInput):
-    """A web moves so far from angle to angle that some of its columns are never lit."""
+    """The steps of a web from angle to angle are so long that some of its columns are never lit."""
 
 
 class RayError(BadInput):
@@ -69,11 +69,9 @@ class UnstableStep(BadInput):
 class ToleranceError(BadInput):
     """A tolerance contradicts another one or the print, or no patterns meet it; ``binds`` names it, such as "axis"."""
 
-    binds: str
-
     def __init__(self, binds: str, why: str) -> None:
         super().__init__(f"the tolerance of {binds} {why}")
-        self.binds = binds
+        self.binds: str = binds
 
 
 class SliceError(BadInput):
@@ -157,11 +155,9 @@ class WrongKey(NamedTuple):
 class JobError(BadInput):
     """A job file holds a wrong value; ``wrong`` has the key and line of each, as far as they are known."""
 
-    wrong: tuple[WrongKey, ...]
-
     def __init__(self, message: str, wrong: Iterable[WrongKey] = ()) -> None:
         super().__init__(message)
-        self.wrong = tuple(wrong)
+        self.wrong: tuple[WrongKey, ...] = tuple(wrong)
 
 
 class StorageError(VamError, OSError):

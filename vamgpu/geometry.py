@@ -17,7 +17,8 @@ from vamgpu.card import card
 from vamgpu.errors import BadInput
 from vamgpu.quantity import positive
 from vamgpu.schema import check, write
-from vamgpu.schema.quantities import Fill, Pitch, PixelPitch, Positive, Turn, Width
+from vamgpu.schema.quantities import Fill, Pitch, PixelPitch, Positive, Turn, Width, numeric
+from vamgpu.travel import Travel, at_rest, check_angles
 
 HALF_A_PIXEL = 0.5
 """Default standard deviation [pixels] of the point spread of a projector in focus."""
@@ -37,13 +38,13 @@ def counts(name: str, values: object, length: int) -> tuple[int, ...]:
         numbers = tuple(int(v) for v in values)  # type: ignore[attr-defined]
         exact = all(int(v) == v for v in values)  # type: ignore[attr-defined]
     except (TypeError, ValueError, OverflowError) as error:
-        raise BadInput(f"{name} is {_told(values)}; expected {expected}") from error
+        raise BadInput(f"{name} is {_as_given(values)}; expected {expected}") from error
     if len(numbers) != length or not exact or min(numbers) < 1:
-        raise BadInput(f"{name} is {_told(values)}; expected {expected}")
+        raise BadInput(f"{name} is {_as_given(values)}; expected {expected}")
     return numbers
 
 
-def _told(values: object) -> str:
+def _as_given(values: object) -> str:
     """Values as the user gave them; a single number is not a tuple."""
     return repr(values[0] if isinstance(values, tuple) and len(values) == 1 else values)
 
@@ -181,9 +182,9 @@ def one_ray_a_pixel(operator: str, beam: Beam) -> None:
 class Turntable:
     """A resin container that turns about z. A turn shows every angle once, in order.
 
-    ``Turntable(360)`` has 360 even angles over a full turn from θ = 0, `arc` spreads them over a part of a turn, and
-    ``Turntable([0.0, 0.017, …])`` has measured angles. The attributes ``theta`` [rad] and ``dwell`` are None if angles
-    are even over a full turn from 0, and lit equally long.
+    ``Turntable(360)`` has 360 evenly spaced angles over a full turn from θ = 0, `arc` spreads them over part of a
+    turn, and ``Turntable([0.0, 0.017, …])`` has measured angles. The attributes ``theta`` [rad] and
+    ``dwell`` are None if angles are evenly spaced over a full turn from 0, and lit equally long.
 
     The container turns steadily while a frame is lit, through an arc centered on its angle; ``lit_share`` is that arc
     divided by the step to the next angle. It is 0 if the container does not turn while a frame is
@@ -195,15 +196,17 @@ class Turntable:
             equally long. Light is still an irradiance: operators weight each angle by its time.
         lit_share: Share of each step during which its frame is lit while the container turns, 0 to 1. None: 1 for even
             angles, and 0 for listed angles, which are positions and not steps.
+        travel: Path of the part through all turns of the print; None for a part at rest.
 
     Raises:
-        BadInput: A number is not finite, angles exceed a turn, or times and angles differ in number.
+        BadInput: A number is not finite, angles exceed a turn, or times, heights and angles differ in number.
     """
 
     angles: int
     theta: tuple[float, ...] | None
     dwell: tuple[float, ...] | None
     lit_share: float
+    travel: Travel | None
     _arcs: tuple[float, ...] | None
 
     def __init__(
@@ -211,9 +214,10 @@ class Turntable:
         angles: int | Sequence[Turn] | np.ndarray,
         dwell: Sequence[Positive] | np.ndarray | None = None,
         lit_share: float | None = None,
+        travel: Travel | None = None,
     ) -> None:
         listed = isinstance(angles, (list, tuple, range)) or np.ndim(angles) > 0  # pyright: ignore[reportArgumentType]
-        theta = _finite("Turntable angles [rad]", angles) if listed else None
+        theta = numeric("Turntable angles [rad]", angles) if listed else None
         count = counts("Turntable angles", (angles,), 1)[0] if theta is None else theta.size
         if theta is not None and np.ptp(theta) > FULL_TURN * (1.0 + 1e-12):
             raise BadInput(
@@ -226,7 +230,9 @@ class Turntable:
         object.__setattr__(self, "theta", None if theta is None else tuple(theta.tolist()))
         object.__setattr__(self, "dwell", None if dwell is None else _relative(dwell, count))
         object.__setattr__(self, "lit_share", _lit_share(lit_share, 0.0 if listed else 1.0))
+        object.__setattr__(self, "travel", travel)
         object.__setattr__(self, "_arcs", None)
+        check_angles(travel, count)
 
     @classmethod
     def arc(
@@ -258,18 +264,6 @@ class Turntable:
             raise BadInput(f"Turntable span is {part:g} rad; expected at most 2π, a full turn: convert with units.deg")
         return cls(start + part / FULL_TURN * _even(count), dwell, lit_share)
 
-    def part(self, first: int, stop: int) -> Turntable:
-        """A part of the turn; each angle is lit as long as in the whole turn.
-
-        Args:
-            first: Number of its first angle.
-            stop: Number after its last one.
-
-        Returns:
-            The part.
-        """
-        return self.chosen(range(first, stop))
-
     def chosen(self, numbers: Sequence[int]) -> Turntable:
         """Some of the angles, each lit as long and over the same arc as in the whole turn.
 
@@ -279,6 +273,7 @@ class Turntable:
         Returns:
             The turntable with these angles.
         """
+        at_rest("a part of a turn", self)
         some = list(numbers)
         piece = Turntable(self.poses[some], lit_share=self.lit_share)
         if self.dwell is not None:
@@ -294,7 +289,18 @@ class Turntable:
             Its arguments by name.
         """
         angles = self.angles if self.theta is None else self.theta
-        return {"angles": angles, "dwell": self.dwell, "lit_share": self.lit_share}
+        return {"angles": angles, "dwell": self.dwell, "lit_share": self.lit_share, "travel": self.travel}
+
+    def along(self, travel: Travel | None) -> Turntable:
+        """The same turntable with a part on another path.
+
+        Args:
+            travel: The path; None for a part at rest.
+
+        Returns:
+            The turntable.
+        """
+        return Turntable(**{**self.described(), "travel": travel})
 
     @property
     def steps(self) -> np.ndarray:
@@ -338,13 +344,14 @@ class Turntable:
 
     @property
     def is_even(self) -> bool:
-        """Whether the angles are even over a full turn from θ = 0, each lit equally long."""
-        return self.theta is None and self.dwell is None
+        """Whether the angles are even over a full turn from θ = 0, each lit equally long, past a part at rest."""
+        return self.theta is None and self.dwell is None and self.travel is None
 
     def __repr__(self) -> str:
         times = "" if self.dwell is None else f", dwell={_shortened(self.dwell)}"
         usual = self.lit_share == (1.0 if self.theta is None else 0.0)
         lit = "" if usual else f", lit_share={self.lit_share:g}"
+        lit += "" if self.travel is None else f", travel={self.travel!r}"
         return f"Turntable(angles={self.angles if self.theta is None else _shortened(self.theta)}{times}{lit})"
 
     def __str__(self) -> str:
@@ -352,7 +359,8 @@ class Turntable:
         if self.theta is not None:
             where = f"measured, from {np.degrees(min(self.theta)):.4g}° to {np.degrees(max(self.theta)):.4g}°"
         lit = "" if self.dwell is None else f", each lit {min(self.dwell):.3g} to {max(self.dwell):.3g} times the mean"
-        return f"{self.angles} {where}{lit}, {self.moves}"
+        part = "" if self.travel is None else f", with a part that moves in {self.travel.turns} turns"
+        return f"{self.angles} {where}{lit}, {self.moves}{part}"
 
     def _repr_html_(self) -> str:
         lit = 0.5 + 0.5 * self.times / self.times.max()
@@ -383,21 +391,9 @@ def _lit_share(value: Any, usual: float) -> float:
     return float(value)
 
 
-def _finite(name: str, values: Any) -> np.ndarray:
-    """A list of finite numbers as float64 (n,), else `BadInput`."""
-    try:
-        numbers = np.array(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {values!r}; expected a list of numbers") from error
-    if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
-        raise BadInput(f"{name} has shape {numbers.shape} and {np.count_nonzero(~np.isfinite(numbers))} numbers that "
-                       "are not finite; expected a list of finite numbers, at least one")  # fmt: skip
-    return numbers
-
-
 def _relative(dwell: Any, count: int) -> tuple[float, ...] | None:
     """Ratios of times to their mean; None if all are equal."""
-    times = _finite("Turntable dwell", dwell)
+    times = numeric("Turntable dwell", dwell)
     if times.size != count or times.min() <= 0.0:
         raise BadInput(f"Turntable dwell has {times.size} times, the least {times.min():g}; expected {count}, "
                        "one above 0 for each angle: leave out angles that are never lit")  # fmt: skip
@@ -488,3 +484,14 @@ class PlaneTime:
     bit: int  # of the levels, 0 the lowest
     begin: float  # of its light
     width: float  # how long it is lit
+
+
+def resin_radius(vessel: Any) -> float:
+    """Radius [mm] of the resin that turns freely: the inner wall; infinite in open air."""
+    if vessel is None:
+        return float("inf")
+    for name in ("inner_radius", "printable_radius"):
+        if hasattr(vessel, name):
+            return float(getattr(vessel, name))
+    inner = getattr(vessel, "inner", None)
+    return resin_radius(inner) if inner is not None else float(vessel.lit_radius)

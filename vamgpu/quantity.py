@@ -21,8 +21,8 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min", "h", "d"),
     "a rate": ("Hz", "kHz"),
-    "a density": ("kg/m3", "g/cm3"),
-    "a viscosity": ("Pa s", "mPa s"),
+    "a density": ("kg/m3", "g/cm3", "g/mL"),
+    "a viscosity": ("Pa s", "mPa s", "cP"),
     "a lens power": ("dpt",),
     "a data rate": ("MB/s", "GB/s"),
     "a diffusivity": ("mm2/s", "cm2/s", "m2/s"),
@@ -48,10 +48,10 @@ EXAMPLES = {
 
 
 FAR = 100.0
-"""Ratio to an example from which a number without a unit is shown in another unit than the example's."""
-RAISED = str.maketrans("⁻¹²³μ", "-123µ", "^")
-"""Superscript digits as plain ones, Greek mu as the micro sign, no caret."""
-PER = re.compile(r"(.*?)[ ·]*(?<![a-z])([a-z]+)-([123])")
+"""A number without a unit is shown in another unit than an example if their ratio exceeds this."""
+RAISED = str.maketrans("⁻¹²³μ·⋅", "-123µ  ", "^")
+"""Superscript digits as plain ones, Greek mu as the micro sign, blanks for dots, no caret."""
+PER = re.compile(r"(.*?) *(?<![a-z])([a-z]+)-([123])")
 
 
 def spelled(unit: str) -> str:
@@ -103,11 +103,12 @@ def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False, exa
         raise ValueError(f"expected {kind}, a number and a unit: {like(example, kind)}")
     number, unit = float(match[1].replace("_", "")), spelled(match[2] or "")
     if unit not in SPELLINGS[kind]:
-        got, hint = f"unit {match[2]!r}" if unit else "no unit", like(example, kind, None if unit else number)
+        got = repr(match[2]) if unit else "a number without a unit"
+        hint = like(example, kind, None if unit else number)
         if kind == "a length" and unit in FOREIGN:
             mm = f"{number * FOREIGN[unit]:.6g} mm"
-            got, hint = f"{got}: {number:g} × {FOREIGN[unit]:g} mm = {mm}", like(mm, kind)
-        raise ValueError(f"{got}; expected {kind} in {', '.join(SPELLINGS[kind])}: {hint}")
+            got, hint = f"{got} ({number:g} × {FOREIGN[unit]:g} mm = {mm})", like(mm, kind)
+        raise ValueError(f"expected {kind} in {', '.join(SPELLINGS[kind])}, not {got}: {hint}")
     value = number * NAMES[unit]
     if not isfinite(value) or (not signed and (value < 0 or (value == 0 and not zero))):
         raise ValueError(f"expected {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {like(example, kind)}")

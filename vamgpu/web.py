@@ -114,7 +114,7 @@ class Propagation:
 
 
 def way_taps(width: float, share: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Columns about a position and the share of each, while the film moves by a width [columns] about it."""
+    """Columns near a position, and the fraction of light in each, if the film moves by a width [columns] meanwhile."""
     reach = int(np.ceil(0.5 * width)) + 1
     columns = np.arange(-reach, reach + 2)
     if width <= 0.0:

@@ -67,7 +67,7 @@ def test_a_saved_result_is_read_at_the_place_of_the_axis(tmp_path: Path) -> None
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0, 1.0]\nblur_mm = [0.05]\npixel_mm = 0.01\n',
          "2 positions and 1 blurs"),
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [0.015]\npixel_mm = 0.01\n',
-         "15 µm, but pixels of 67 µm.*alone blur it by 19.6 µm; expected .*correct the beam's pitch"),
+         "15 µm, but projector pixels of 67 µm.*alone blur it by 19.6 µm; expected .*correct the beam's pitch"),
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [nan]\npixel_mm = 0.01\n', "blur"),
         ("calibration = \n", "not valid TOML"),
     ],

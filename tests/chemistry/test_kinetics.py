@@ -147,7 +147,7 @@ def test_pairing_in_the_dark_is_second_order(device: Device) -> None:
 
 @pytest.mark.parametrize(("make", "told"), [
     (lambda: SpeciesState(-0.1, 0.0, 1.0), r"\[A\] is -0.1"),
-    (lambda: SpeciesState(1.0, float("nan"), 1.0), r"\[B\] holds 1 values that are not finite"),
+    (lambda: SpeciesState(1.0, float("nan"), 1.0), r"\[B\] has shape .* 1 numbers that are not finite"),
     (lambda: SpeciesState([1.0, 1.0], [0.0, 0.0, 0.0], 1.0), "expected one length"),
     (lambda: Rates(0.1, -0.1, 0.1, 0.1), "k_b is -0.1"),
     (lambda: Rates(0.1, 0.1, float("inf"), 0.1), "k_c is inf"),

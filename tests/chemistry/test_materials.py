@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from vamgpu.chemistry.diffusivity import diffusion_length, wilke_chang
 from vamgpu.chemistry.materials import Glass, Inhibitor, Liquid, Resin
 from vamgpu.chemistry.materials.library import DATA
+from vamgpu.chemistry.materials.resin import diffusion_length, wilke_chang
 from vamgpu.errors import BadInput, MaterialError, OutsideData
 from vamgpu.units import Pa_s, cm, kg_m3, nm
 
@@ -130,7 +130,7 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ('"2 Pa s"', '"2 mm"', r"viscosity\.value.*unit 'mm'"),
+        ('"2 Pa s"', '"2 mm"', r"viscosity\.value.*not 'mm'"),
         ('"2 Pa s"', '"-2 Pa s"', r"viscosity\.value.*> 0"),
         ('"2 Pa s"', "2.0", r"viscosity\.value.*in quotes"),
         ('source = "measured by me, notebook 3"\n[index]', "[index]", r"viscosity\.source"),

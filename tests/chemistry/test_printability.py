@@ -177,7 +177,7 @@ def test_wrong_input_is_refused() -> None:
         TurnDoses.of(np.ones((4, 4, 4)), np.ones((4, 4, 5)))
     with pytest.raises(BadInput, match="share below 1"):
         disturbances(dose=1.2)
-    with pytest.raises(BadInput, match="finite offset"):
+    with pytest.raises(BadInput, match="axis .mm. is nan; expected a finite"):
         Disturbance(axis=float("nan"))
     with pytest.raises(BadInput, match="at least"):
         plan_exposure(turn, 3, 2.0, period=1.0, visible_limit=5.0)

@@ -62,7 +62,7 @@ def test_light_comes_from_where_the_angles_were_measured(device: Device) -> None
     assert np.array_equal(shown, rolled.irradiance(c, 10)[0].numpy())
     assert np.abs(shown - even.irradiance(c, 3)[0].numpy()).max() > 0.1
     for motion in (Turntable(23), Turntable(24, dwell=np.linspace(1, 2, 24))):
-        with pytest.raises(BadInput, match="expected as many, lit for equal times"):
+        with pytest.raises(BadInput, match="expected as many angles, lit for equal times"):
             ColorExposure(BOX, light, None, COLORS, device=device, motion=motion)
 
 

@@ -77,7 +77,7 @@ def test_fixed_faces_give_a_straight_profile(device: Device, axis: int) -> None:
     faces = [*Boundary.fixed(0.2, low).faces]
     faces[2 * axis + 1] = Boundary.fixed(1.0, high).faces[2 * axis + 1]
     shape = tuple(6 if k == axis else 4 for k in range(3))
-    edge = Boundary((faces[0], faces[1], faces[2], faces[3], faces[4], faces[5]))
+    edge = Boundary(tuple(faces))
     box, boundaries = Box((shape[0], shape[1], shape[2]), PITCH), (edge, Boundary(), Boundary())
     walk = Transport(box, (0.002, 0.001, 0.0005), boundaries=boundaries, device=device)
     state = walk.start(0.5, 0.3, 0.0)
@@ -130,7 +130,7 @@ def test_bad_input_is_refused_with_the_limit_it_broke(device: Device) -> None:
     for wrong in ((0.0, 1e-3, 1e-3), (1e-3, -1.0, 1e-3), (1e-3, 1e-3, float("nan"))):
         with pytest.raises(BadInput, match="diffusivity"):
             Transport(box, wrong, device=device)
-    with pytest.raises(BadInput, match="A holds -0.1"):
+    with pytest.raises(BadInput, match="A. is -0.1 at its lowest"):
         walk.start(-0.1)
     with pytest.raises(BadInput):
         walk.start(np.full(box.shape, np.nan))
@@ -140,7 +140,7 @@ def test_bad_input_is_refused_with_the_limit_it_broke(device: Device) -> None:
         walk.start().species("D")
     with pytest.raises(BadInput, match="no face"):
         Boundary.fixed(1.0, "top")
-    with pytest.raises(BadInput, match="value of a fixed face"):
+    with pytest.raises(BadInput, match="faces is -1.0; expected a finite number"):
         Boundary.fixed(-1.0, "z high")
     with pytest.raises(BadInput, match="order"):
         Reaction(1.0, 1.0, 1.0, 1.0, order=2)
@@ -158,7 +158,7 @@ def still(box: Any, diffusivities: Any = (1e-3, 1e-3, 1e-3), **rest: Any) -> Any
     (lambda box: still(box, boundaries=Boundary()), "one for each of A, B, C"),
     (lambda box: still(box, boundaries=(1, 2, 3)), "expected a Boundary"),
     (lambda box: still(box, reaction="fast"), "expected a Reaction"),
-    (lambda box: still(box).start("much"), "A is 'much'; expected numbers"),
+    (lambda box: still(box).start("much"), r"\[A\] is 'much'; expected finite numbers"),
     (lambda box: still(box).advance(None, 1.0), "expected Concentrations"),
     (lambda box: Boundary(1), "expected six"),  # type: ignore[arg-type]
 ])  # fmt: skip

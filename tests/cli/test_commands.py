@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -38,6 +39,12 @@ iterations = 30
 SETTINGS = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
 
 
+def test_a_command_that_computes_nothing_loads_no_arrays() -> None:
+    code = "import sys; from vamgpu.cli import main; main(['--version']); print('numpy' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.split() == [vamgpu.__version__, "False"]
+
+
 @pytest.mark.slow
 def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--out", str(tmp_path / "demo"), *SETTINGS]) == 0
@@ -47,7 +54,12 @@ def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr().out
     assert "Does not print: " in said and "→ " in said and said.index("Does not print") < said.index("judged by")
     assert main(["prove", job, "--check"]) == 3
-    assert (tmp_path / "demo" / "boat.html").exists()
+    nominal = (tmp_path / "demo" / "boat.html").read_bytes()
+    capsys.readouterr()
+    assert main(["prove", job, "--off", "axis=600 um", "--off", "dose=-30 %"]) == 0
+    assert "axis +600 µm, dose -30 %" in capsys.readouterr().out
+    assert "errors: axis +600 µm, dose -30 %" in (tmp_path / "demo" / "boat-off.html").read_text(encoding="utf-8")
+    assert (tmp_path / "demo" / "boat.html").read_bytes() == nominal
     assert main(["prove", job, "--report", str(tmp_path / "boat.stl")]) == 1
     assert "expected a path ending in .html" in capsys.readouterr().err
     (tmp_path / "taken").mkdir()
@@ -64,6 +76,7 @@ def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert all((tmp_path / name).stat().st_size > 0 for name in formats.values())
 
 
+@pytest.mark.slow
 def test_a_job_that_prints_says_so_and_checks_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trimesh.creation.icosphere(3, 1.0).export(tmp_path / "ball.stl")
     (tmp_path / "ball.toml").write_text(BALL, encoding="utf-8")
@@ -131,6 +144,11 @@ def test_errors_are_one_clear_text(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "part.toml, line 2: target.pitch: got 3" in said and "Traceback" not in said
     assert "beam is missing; add the table [beam]" in said
     assert main(["prove", str(tmp_path)]) == 1
+    assert main(["prove", str(tmp_path), "--report", str(tmp_path / "none" / "a.html")]) == 1
+    assert "none' does not exist; make it" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["prove", str(tmp_path), "--off", "axis=1 mm", "dose=5 %"])
+    assert "repeat it for each: --set a=1 --set b=2" in capsys.readouterr().err
     assert main(["export", str(tmp_path)]) == 1
     assert "--png" in capsys.readouterr().err
 

@@ -14,6 +14,7 @@ from vamgpu.curethrough.images import encode
 from vamgpu.curethrough.output import RECORD
 from vamgpu.curethrough.stack import open_stack
 from vamgpu.jobs.curethrough import EXAMPLE, CurethroughJob
+from vamgpu.jobs.progress import events_path
 
 
 def part() -> np.ndarray:
@@ -111,6 +112,16 @@ def test_where_nothing_can_stay_uncured(job: Path, capsys: pytest.CaptureFixture
     assert "print slower than" in capsys.readouterr().err
 
 
+def test_slices_without_a_job_are_told_what_they_need(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slices = job.with_name("x.ctb")
+    slices.write_bytes(b"\x86\xff" * 900)
+    assert main(["curethrough", str(slices)]) == 1
+    assert f"vam curethrough correct job.toml --slices {slices}" in capsys.readouterr().err
+    assert main(["curethrough", "correct", str(slices)]) == 1
+    assert "a job file names a mesh in [target], or slices in [slices]" in capsys.readouterr().err
+    assert main(["curethrough"]) == 0 and "Commands" in capsys.readouterr().out
+
+
 def test_bad_jobs_and_bad_slices_are_one_clear_text(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (job.parent / "slices" / "slice7.png").unlink()
     assert main(["curethrough", "correct", str(job)]) == 1
@@ -178,6 +189,16 @@ def test_fit_never_replaces_measurements(tmp_path: Path, capsys: pytest.CaptureF
 def test_darkness_above_full_light_is_told(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["curethrough", "model", str(job), "--set", 'printer.dark="200 mW/cm2"']) == 1
     assert "2 mW/mm² at level 0 (dark) and 1 at 255" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("command", "option"), [("model", "--doses"), ("correct", "--out")])
+def test_a_refused_command_leaves_the_record_of_the_one_before(job: Path, command: str, option: str) -> None:
+    page = job.parent / "made.html"
+    words = ["curethrough", command, str(job), option, str(job.parent / "made"), "--report", str(page)]
+    assert main(words) == 0
+    before = events_path(page).read_bytes()
+    assert main(words) == 1 and main([*words[:4], str(job.parent / "slices" / "in"), *words[5:]]) == 1
+    assert events_path(page).read_bytes() == before and b'"verdict"' in before
 
 
 @pytest.mark.parametrize("command", ["model", "correct", "fit"])

@@ -163,10 +163,10 @@ NUMPY = (vam.Grid((8, 8, 8), 0.1), vam.Beam((8, 8), 0.1), vam.Turntable(4))
         (lambda: Occluded(radius=0.0), "radius"),
         (lambda: Occluded(transmittance=1.2), r"0\.\.1"),
         (lambda: vam.Projection(*NUMPY, Cone(throw=9.0), device="numpy"), "Cone"),  # type: ignore[arg-type]
-        (lambda: Oblique(*NUMPY, wobble=Wobble(0.5), device="numpy"), r"moves 0\.5 mm.*0\.4 mm"),
+        (lambda: Oblique(*NUMPY, wobble=Wobble(0.5), device="numpy"), r"axis by up to 0\.5 mm.*0\.4 mm"),
         (lambda: Oblique(*NUMPY, wobble=Wobble([0.1, 0.2]), device="numpy"), "has 2 values.*4 angles"),
         (lambda: Wobble(np.nan), "finite"),
-        (lambda: Wobbled(vam.Projection(*NUMPY, device="numpy"), Wobble(0.4)), r"moves 0\.4 mm"),
+        (lambda: Wobbled(vam.Projection(*NUMPY, device="numpy"), Wobble(0.4)), r"axis by up to 0\.4 mm"),
         (lambda: Defocus(-0.03, 3.8), r"fwhm \[mm\] is -0\.03"),
         (lambda: Defocus(0.03, 0.0), "depth_of_focus"),
         (lambda: Defocused(vam.Projection(*NUMPY, device="numpy"), 0.03), "expected Defocus"),  # type: ignore[arg-type]

@@ -9,10 +9,10 @@ import warp as wp
 from vamgpu.backend import open_device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.backend.warp import TYPES, sibling
-from vamgpu.kernels.catalog import FOLDER, bytes_per_item, concepts, kernels, readme
+from vamgpu.kernels.catalog import FOLDER, bytes_per_item, concepts, declared, kernels, readme
 from vamgpu.kernels.mask import mask_bytes
 from vamgpu.kernels.planes import split_planes
-from vamgpu.kernels.project import forward_joseph
+from vamgpu.kernels.rebin import rebin_rays
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 from vamgpu.kernels.update import apply_penalty, linear
 
@@ -22,9 +22,10 @@ every_kernel = pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: k
 
 
 @pytest.mark.parametrize("concept", concepts())
-def test_a_concept_has_three_siblings(concept: str) -> None:
-    for ending in (".py", ".cl", "_warp.py"):
-        assert (FOLDER / f"{concept}{ending}").exists()
+def test_a_concept_has_three_siblings_unless_all_are_written_from_its_definition(concept: str) -> None:
+    pointwise = all(kernel.pointwise for kernel in declared(concept))
+    for ending in (".cl", "_warp.py"):
+        assert (FOLDER / f"{concept}{ending}").exists() != pointwise
 
 
 def opencl_types(spec: Field | Table | Scalar) -> set[str]:
@@ -83,12 +84,19 @@ def test_the_readme_is_what_the_catalog_writes() -> None:
 def test_bytes_per_item_follow_the_declaration() -> None:
     sizes = {
         kernel.name: (bytes_per_item(kernel, written=False), bytes_per_item(kernel, written=True))
-        for kernel in (linear, apply_penalty, forward_joseph, mask_bytes, split_planes)
+        for kernel in (linear, apply_penalty, rebin_rays, mask_bytes, split_planes)
     }
     assert sizes == {
         "linear": ("8", "4"),
         "apply_penalty": ("8", "4 + *parts*"),
-        "forward_joseph": ("4·x·y/(angle·r) + *directions*", "4"),
+        "rebin_rays": ("4·column/r + *rays*", "4"),
         "mask_bytes": ("1 + *mask*", "1"),
         "split_planes": ("*images* + *masks* + *chosen*", "8·row·width/strip + 4"),
     }
+
+
+def test_sizes_belong_to_the_caller() -> None:
+    """They are found once for the same shapes."""
+    shapes: dict[str, tuple[int, ...]] = {name: (2, 3, 4) for name in ("x", "y", "out")}
+    linear.sizes(shapes).clear()
+    assert linear.sizes(shapes) == {"i": 2, "j": 3, "z": 4}

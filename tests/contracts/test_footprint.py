@@ -123,18 +123,6 @@ def test_every_opencl_compiler_agrees_in_the_layout_of_gpus(opencl_name: str) ->
 AIR = vam.Grid((6, 6, 2), 0.1)
 
 
-@pytest.mark.parametrize(("beam", "vessel", "footprint", "message"), [
-    (vam.Beam((8, 2), 0.1), vam.Vat(width=2.0), "joseph", "leave the vessel out"),
-    (vam.Beam((8, 2), 0.09), None, "joseph", "make the pitches equal"),
-    (vam.Beam((8, 2), 0.1, spread=0.05), None, "joseph", "give neither"),
-    (vam.Beam((8, 2), 0.1, fill=0.9), None, "joseph", "give neither"),
-    (vam.Beam((8, 2), 0.1), None, "siddon", "footprint is 'siddon'; expected one of exact, joseph"),
-])  # fmt: skip
-def test_footprints_that_do_not_fit_are_refused(beam: Any, vessel: Any, footprint: Any, message: str) -> None:
-    with pytest.raises(BadInput, match=message):
-        vam.Projection(AIR, beam, vam.Turntable(3), vessel, "numpy", footprint=footprint)
-
-
 @pytest.mark.parametrize("told", [{"fill": 0.9}, {"spread": 0.05}])
 def test_rays_refuse_pixels_with_a_shape(told: dict[str, float]) -> None:
     beam, web, once = vam.Beam((8, 3), 0.1, **told), vam.WebGrid((8, 4, 3), (0.1, 0.1, 0.1)), np.arange(4)

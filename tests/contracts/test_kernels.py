@@ -15,6 +15,7 @@ from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.signature import Kernel, Scalar
+from vamgpu.kernels.stack import put_slices
 
 FENCE, MARK = 4096, 0x5A
 COUNTS = 1e-3
@@ -32,32 +33,37 @@ def test_every_kernel_has_an_example() -> None:
     assert not examples.missing()
 
 
-FOLDED = ("forward_joseph", "back_joseph", "forward_footprint", "back_footprint")
+FOLDED = ("forward_footprint", "back_footprint")
 """Kernels that fold 68 poses and voxels by symmetry."""
 
 
-# 4 slices are one thread's work on a GPU, 13 several's, 68 several slabs'
-@pytest.mark.parametrize(
-    ("kernel", "size"),
-    [
-        pytest.param(
-            kernel,
-            size,
-            id=f"{kernel.name}-{size}",
-            marks=pytest.mark.slow if size == 7 or (size == 68 and kernel.name not in FOLDED) else (),
-        )
-        for kernel in kernels()
-        for size in (7, 25, 68)
-    ],
-)
-def test_devices_agree_with_the_definition(fast_device: Device, kernel: Kernel, size: int) -> None:
+def agrees(any_device: Device, kernel: Kernel, size: int) -> None:
     """Nor does an item that fills up a group write anywhere else."""
-    device = fenced(fast_device)
+    device = fenced(any_device)
     bound = examples.bind(device, kernel, size)
     bound.launch()
     assert not isinstance(device, FencedDevice) or device.unharmed()
     counts = any(a.dtype.kind in "iu" for n, a in bound.arguments.items() if getattr(kernel.arguments[n], "writes", 0))
     assert bound.error(reference(kernel, size)) <= (COUNTS if counts else 1e-5)
+
+
+# 4 slices are one thread's work on a GPU, 13 several's, 68 several slabs'
+@pytest.mark.every_device
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_devices_agree_with_the_definition(fast_device: Device, kernel: Kernel) -> None:
+    agrees(fast_device, kernel, 25)
+
+
+@pytest.mark.parametrize("kernel", [one for one in kernels() if one.name in FOLDED], ids=lambda kernel: kernel.name)
+def test_devices_agree_where_poses_are_folded(fast_device: Device, kernel: Kernel) -> None:
+    agrees(fast_device, kernel, 68)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [7, 68])
+@pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
+def test_devices_agree_at_other_sizes(fast_device: Device, kernel: Kernel, size: int) -> None:
+    agrees(fast_device, kernel, size)
 
 
 @pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
@@ -79,6 +85,13 @@ def test_a_kernel_updates_what_it_says(kernel: Kernel) -> None:
         apart = {n: ~np.isclose(one[n], other[n], rtol=1e-9, atol=0.0, equal_nan=True) for n in one}
         apart[name] &= ~kept
         assert any(different.any() for different in apart.values()) == spec.updates, name
+
+
+def test_slices_are_taken_from_the_middle_of_a_field(fast_device: Device) -> None:
+    values = np.arange(3 * 4 * 9, dtype=np.float32).reshape(3, 4, 9)
+    source, some = fast_device.upload(values), fast_device.upload(np.zeros((3, 4, 5), np.float32))
+    fast_device.launch(put_slices, source=source, first=-2, factor=1.0, keep=0, lanes=source, stack=some)
+    assert np.array_equal(some.numpy(), values[:, :, 2:7])
 
 
 class FencedDevice(OpenclDevice):

@@ -74,8 +74,7 @@ def launched(queue: Any, sources: Path, kernel: Kernel, given: dict[str, Any], f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mirrored", [0, 1])
-@pytest.mark.parametrize(("angles", "slices", "tf32"), [(5, 38, 0), (4, 70, 0), (4, 32, 1)])
+@pytest.mark.parametrize(("angles", "slices", "tf32", "mirrored"), [(5, 38, 0, 1), (4, 70, 0, 0), (4, 32, 1, 1)])
 @pytest.mark.parametrize("kernel", [light_rings, gather_rings], ids=lambda kernel: kernel.name)
 def test_matrix_units_keep_the_bits_that_they_are_asked_for(
     queue: Any, sources: Path, kernel: Kernel, angles: int, slices: int, tf32: int, mirrored: int

@@ -59,18 +59,18 @@ def test_devices_agree_with_the_reference(device: Device, geometry: str) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("vessel", [None, "vial"])
 def test_the_dot_test_holds_at_real_size(fast_device: Device, is_quick: bool, vessel: str | None) -> None:
-    n, angles = (128, 360) if is_quick else (64, 90)
+    n, angles = (128, 180) if is_quick else (40, 60)
     vial = vam.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
     pitch = 16.64 / n
     grid, beam = vam.Grid((n, n, n), pitch), vam.Beam((n, n), pitch if vessel is None else 1.5 * pitch)
     A = vam.Projection(grid, beam, vam.Turntable(angles), vial if vessel else None, device=fast_device)
-    assert max(A.dot_test(seed) for seed in range(4)) <= 2e-8
+    assert max(A.dot_test(seed) for seed in range(2)) <= 2e-8
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("vessel", [None, "vial"])
 def test_devices_agree_on_a_target_at_real_size(fast_device: Device, is_quick: bool, vessel: str | None) -> None:
-    n, angles = (128, 45) if is_quick else (64, 30)
+    n, angles = (96, 30) if is_quick else (48, 20)
     x, y, z = np.meshgrid(*(np.linspace(-1, 1, n),) * 3, indexing="ij")
     target = ((x / 0.5) ** 2 + (y / 0.3) ** 2 + (z / 0.8) ** 2 < 1).astype(np.float32)
     vial = vam.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
@@ -121,9 +121,9 @@ def test_bad_input_is_named(device: Device) -> None:
     with pytest.raises(BadInput, match="real numbers"):
         A(np.full(A.domain.shape, 1j))
     with pytest.raises(KernelError, match="takes"):
-        from vamgpu.kernels.project import forward_joseph
+        from vamgpu.kernels.update import linear
 
-        device.launch(forward_joseph, volume=device.empty((2, 2, 2)))
+        device.launch(linear, x=device.empty((2, 2, 2)))
     with pytest.raises(DeviceError, match="available"):
         vam.open_device("opencl:nowhere:0")
     other = vam.open_device("warp:cpu" if device.name != "warp:cpu" else "numpy")

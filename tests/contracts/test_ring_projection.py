@@ -149,9 +149,9 @@ def test_narrower_rings_come_nearer() -> None:
     ("given", "said"),
     [
         ({"motion": vam.Turntable.arc(24, np.pi)}, "even over a full turn"),
-        ({"motion": vam.Turntable(24, dwell=np.arange(24) + 1.0)}, "lit as long"),
+        ({"motion": vam.Turntable(24, dwell=np.arange(24) + 1.0)}, "lit equally"),
         ({"motion": vam.Turntable(1)}, "two or more"),
-        ({"grid": vam.Grid((20, 20, 3), 0.05)}, "even in number"),
+        ({"grid": vam.Grid((20, 20, 3), 0.05)}, "an even number"),
         ({"rings": vam.PolarGrid(16, 4, 0.05, 12)}, "the same angles"),
         ({"grid": 3}, "Grid"),
     ],
@@ -163,9 +163,9 @@ def test_what_rings_do_not_take_is_refused(given: dict[str, Any], said: str) -> 
 
 def test_why_an_operator_is_left_as_it_is() -> None:
     beam = vam.Beam((20, 4), 0.05, spread=0.0)
-    A = vam.Projection(GRID, beam, TURN, device="numpy", footprint="joseph")
-    assert "footprint" in unsupported_reason(A) and "Sum" in unsupported_reason(A + A)
-    with pytest.raises(BadInput, match="footprint"):
+    A = vam.Projection(GRID, beam, vam.Turntable([0.0, 1.0, 2.5]), device="numpy")
+    assert "even" in unsupported_reason(A) and "Sum" in unsupported_reason(A + A)
+    with pytest.raises(BadInput, match="even"):
         vam.RingProjection.of(A)
 
 

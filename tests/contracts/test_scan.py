@@ -150,10 +150,11 @@ def test_points_follow_the_scan(scan: str) -> None:
 def test_tiles_repeat_the_times_of_a_turn(device: Device) -> None:
     motion = SCANS["unequal times"]()
     images = np.ones((24, 3, 5), np.float32)
-    weighted = Dwell(motion, device).weighted(device.upload(images)).numpy()
+    beam = vam.Beam((3, 5), 0.1)
+    weighted = Dwell(motion, beam, device).weighted(device.upload(images)).numpy()
     assert weighted == pytest.approx(np.tile(motion.times, 3)[:, None, None] * images, rel=1e-6)
     same = device.upload(images)
-    assert Dwell(vam.Turntable(8), device).weighted(same) is same
+    assert Dwell(vam.Turntable(8), beam, device).weighted(same) is same
 
 
 def test_webs_refuse_a_turntable() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -57,14 +58,20 @@ def summed(A: SpectralProjection, slices: np.ndarray) -> np.ndarray:
     return dose
 
 
+@cache
+def of_poses(geometry: str) -> tuple[np.ndarray, np.ndarray]:
+    """Light, and its dose pose by pose."""
+    reference = operator(geometry, "numpy")
+    light = np.random.default_rng(0).random(reference.range.shape)
+    slices = reference.device.empty((*reference.range.shape[:2], reference.grid.slices))
+    reference._rows.to_slices(reference.device.upload(light), slices)
+    return light, summed(reference, slices.numpy())
+
+
 @every_geometry
 def test_it_is_the_sum_over_poses(device: Device, geometry: str) -> None:
-    A, reference = operator(geometry, device), operator(geometry, "numpy")
-    light = np.random.default_rng(0).random(A.range.shape)
-    slices = reference.device.empty((*A.range.shape[:2], A.grid.slices))
-    reference._rows.to_slices(reference.device.upload(light), slices)
-    wanted = summed(A, slices.numpy())
-    assert np.abs(A.T(light) - wanted).max() <= 3e-6 * wanted.max()
+    light, wanted = of_poses(geometry)
+    assert np.abs(operator(geometry, device).T(light) - wanted).max() <= 3e-6 * wanted.max()
 
 
 @every_geometry

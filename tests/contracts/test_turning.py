@@ -97,7 +97,7 @@ def test_rays_see_the_mean_of_the_way(opencl_device: Device, kind: str) -> None:
 @pytest.mark.parametrize("kind", ["oblique", "traced", "marched"])
 def test_the_transpose_of_rays_is_exact(device: Device, kind: str) -> None:
     A = rays(kind, device, vam.Turntable(3, np.arange(1, 4)), vam.Grid((6, 6, 2), 2.0))
-    assert transpose_gap(A, most=24) <= 3e-6
+    assert transpose_gap(A, most=12) <= 3e-6
 
 
 def test_no_voxel_is_missed(fast_device: Device) -> None:
@@ -147,14 +147,8 @@ def test_light_on_rings_turns_as_that_of_voxels(opencl_device: Device) -> None:
 
 @pytest.mark.parametrize("motion", [vam.Turntable(8), vam.Turntable(12, dwell=np.arange(1, 13)), "steadily"])
 def test_rings_refuse_another_motion(motion: Any) -> None:
-    with pytest.raises(BadInput, match="expected a Turntable of the grid's 12 even angles"):
+    with pytest.raises(BadInput, match="expected a Turntable of the grid's 12 evenly spaced angles"):
         SpectralProjection(PolarGrid(8, 2, 0.1, 12), vam.Beam((16, 2), 0.1), None, "numpy", motion=motion)
-
-
-def test_rays_of_tomography_stand_still() -> None:
-    A = vam.Projection(vam.Grid((8, 8, 2), 0.1), vam.Beam((8, 2), 0.1), vam.Turntable(6), footprint="joseph",
-                       device="numpy")  # fmt: skip
-    assert A.motion == vam.Turntable(6, lit_share=0)
 
 
 WEB = vam.WebGrid((64, 6, 3), (0.1, 0.1, 0.3))

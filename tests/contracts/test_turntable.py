@@ -39,9 +39,9 @@ def test_an_arc_has_no_direction_twice() -> None:
 
 def test_parts_of_a_turn_keep_the_times_of_the_turn() -> None:
     motion = Turntable(4, dwell=[1, 1, 3, 3])
-    assert motion.part(2, 4).times == pytest.approx([1.5, 1.5])
-    assert motion.part(2, 4).poses == pytest.approx(motion.poses[2:])
-    assert motion.part(0, 1).times == pytest.approx([0.5]) and Turntable(4).part(0, 4) == Turntable(4)
+    assert motion.chosen([2, 3]).times == pytest.approx([1.5, 1.5])
+    assert motion.chosen([2, 3]).poses == pytest.approx(motion.poses[2:])
+    assert motion.chosen([0]).times == pytest.approx([0.5]) and Turntable(4).chosen(range(4)) == Turntable(4)
 
 
 def test_parts_of_a_turn_keep_its_arcs() -> None:

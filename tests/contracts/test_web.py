@@ -129,7 +129,7 @@ def test_the_products_agree_at_the_size_of_a_half_turn(fast_device: Device) -> N
 def test_the_dot_test_holds_at_real_size(fast_device: Device, step: float) -> None:
     grid = WebGrid((300, 20, 36), 0.0785)
     A = WebProjection.from_light(grid, straight_light(80, 20, 120), step, device=fast_device)
-    assert max(A.dot_test(seed) for seed in range(8)) <= 2e-8
+    assert max(A.dot_test(seed) for seed in range(2)) <= 2e-8
 
 
 @every_case

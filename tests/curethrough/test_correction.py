@@ -14,11 +14,11 @@ from vamgpu.backend.device import Device
 from vamgpu.curethrough.correction import Correction, Corrector, correct
 from vamgpu.curethrough.dose import column_dose, column_doses
 from vamgpu.curethrough.feasibility import fastest, feasibility, least_void
-from vamgpu.curethrough.features import column_features
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.leastsquares import heights, least_squares
 from vamgpu.curethrough.printer import Printer, build_up, die_down, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel
+from vamgpu.curethrough.score import Group, features, grouped
 from vamgpu.errors import BadInput
 from vamgpu.units import mJ_cm3, mW_cm2
 
@@ -41,13 +41,13 @@ def within(printer: Printer, shown: np.ndarray, part: np.ndarray, tolerance: flo
     places = np.arange(len(shown) * 4) / 4 + 1e-6
     dose = column_dose(printer, shown, places)
     solid = np.zeros(len(places), bool)
-    for feature in column_features(part):
-        own = (places >= feature.upper) & (places < feature.lower)
+    for upper, lower in np.flatnonzero(np.diff(np.pad(part >= 128, 1).astype(int))).reshape(-1, 2):
+        own = (places >= upper) & (places < lower)
         solid |= own
         assert dose[own].min() >= 1.0 - tolerance
-        above = build_up(places[own], feature.lower, printer.phi_max, printer.eta) + tolerance
-        if feature.upper or not platform:
-            above = np.minimum(above, die_down(places[own], feature.upper, printer.phi_min, printer.eta) + tolerance)
+        above = build_up(places[own], lower, printer.phi_max, printer.eta) + tolerance
+        if upper or not platform:
+            above = np.minimum(above, die_down(places[own], upper, printer.phi_min, printer.eta) + tolerance)
         assert (dose[own] <= above + 2e-3 * above).all()
     if (~solid).any():
         assert dose[~solid].max() <= 1.0 + tolerance
@@ -127,8 +127,13 @@ def test_speeds_of_the_map_are_the_limit() -> None:
         for _ in again.run(part):
             pass
         assert again.missed[0, 1] == missing
-        feature = column_features(part[:, 0, 1])[0]
+        feature = features_of(part[:, 0, 1])[0]
         assert fastest(PRINTER, feature, 100) == pytest.approx(limits.speed[0, 1])
+
+
+def features_of(levels: np.ndarray) -> tuple[Group, ...]:
+    """Features of one column [slice], front to back."""
+    return grouped(features(PRINTER, levels[:, None], levels[:, None] >= 128))
 
 
 def closed(printer: Printer, void: int, open_dose: float | None) -> int:
@@ -151,9 +156,9 @@ def test_the_shortest_void_that_opens_is_the_kernels(printer: Printer, open_dose
 
 
 def test_a_void_of_one_slice_opens_at_no_speed() -> None:
-    first, second = column_features(column([(20, 1), (20, 1)], 5))
+    first, second = features_of(column([(20, 1), (20, 1)], 5))
     assert fastest(PRINTER, first, 50) == 0.0 and fastest(PRINTER, second, 50) > 0.0
-    wider = column_features(column([(20, 6), (20, 1)], 5))[0]
+    wider = features_of(column([(20, 6), (20, 1)], 5))[0]
     speed = fastest(PRINTER, wider, 55, 0.9)
     assert speed > 0 and least_void(PRINTER.at_speed(speed), 0.9) <= 6 < least_void(PRINTER.at_speed(1.03 * speed), 0.9)
 
@@ -183,8 +188,8 @@ def test_least_squares_is_equal_where_feasible_and_better_elsewhere() -> None:
     (lambda: Correction(PRINTER, tail=10**8), "0 to 65,536"),
     (lambda: Correction(PRINTER, threshold="x"), "threshold is 'x'"),  # type: ignore[arg-type]
     (lambda: correct(Correction(PRINTER), [[[0]]]), "slices are list"),  # type: ignore[arg-type]
-    (lambda: Printer(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; expected 30 at the most"),
-    (lambda: LayerPrinter(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; expected 30 at the most"),
+    (lambda: Printer(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; expected at most 30"),
+    (lambda: LayerPrinter(1e-3, 0.5, 5.0, 1.0, PRINTER.light), "5000 absorption heights; expected at most 30"),
 ])  # fmt: skip
 def test_bad_input_is_named(make: Callable[[], object], told: str) -> None:
     with pytest.raises(BadInput, match=told):

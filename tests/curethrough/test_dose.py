@@ -37,6 +37,7 @@ def test_streamed_doses_are_the_closed_sum(device: Device, eta: float) -> None:
         assert np.abs(found[n] - wanted).max() <= 1e-5 * wanted.max()
 
 
+@pytest.mark.every_device
 def test_sums_over_thousands_of_thin_slices_keep_what_they_round_off(device: Device) -> None:
     """Within four roundings of float32: of light, decay and two sums; sums that forget theirs come to 16 to 30."""
     one, levels = printer(2e-4), np.array([255, 200, 128, 77, 1], np.uint8)

@@ -49,8 +49,19 @@ def test_goo_slices_are_read_and_written_with_their_settings(tmp_path: Path) -> 
     assert data[:195_310] == goo(BLACK)[:195_310] and data.endswith(b"\0\0\0\x07\0\0\0DLP\0")
     with open_stack(tmp_path / "b.goo") as stack:
         assert stack.shape == (3, 10, 30) and np.array_equal(stack[0:3], new)
-        said = [struct.unpack_from(">fff", definition, 2) for definition, _, _ in stack.goo.layers]  # type: ignore
+        said = [struct.unpack_from(">fff", definition, 2) for definition, _, _ in stack.file.layers]  # type: ignore
     assert said == [pytest.approx((100, 0.05, 2.5)), pytest.approx((100, 0.1, 3.5)), pytest.approx((100, 0.15, 3.5))]
+
+
+def test_blocks_that_are_written_last_first_keep_their_order(tmp_path: Path) -> None:
+    (tmp_path / "a.goo").write_bytes(goo(*[BLACK] * 40))
+    new = np.arange(40, dtype=np.uint8)[:, None, None] + np.zeros((40, 10, 30), np.uint8)
+    names = tuple(f"{k}.png" for k in range(40))
+    with open_stack(tmp_path / "a.goo") as stack, writing(tmp_path / "b.goo", names, source=stack) as writer:
+        writer.write(32, new[32:])  # a correction runs from the last block to the first
+        writer.write(0, new[:32])
+    with open_stack(tmp_path / "b.goo") as stack:
+        assert np.array_equal(stack[0:40], new)
 
 
 def test_long_runs_are_packed_in_few_bytes(tmp_path: Path) -> None:
@@ -85,9 +96,9 @@ def test_goo_needs_the_settings_of_a_goo(tmp_path: Path) -> None:
         writing(tmp_path / "a.goo", ("1.png",)),
     ):
         pass
-    (tmp_path / "a.ctb").write_bytes(bytes(100))
+    (tmp_path / "a.pwmx").write_bytes(bytes(100))
     with pytest.raises(SliceError, match="export pictures from the slicer"):
-        open_stack(tmp_path / "a.ctb")
+        open_stack(tmp_path / "a.pwmx")
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from vamgpu.curethrough.resin import WorkingCurve, fit_gray, read_gray
+from vamgpu.curethrough.spectrum import LampSpectrum
 from vamgpu.errors import BadInput, SliceWarning, StorageError
 from vamgpu.storage.tables import read_columns
 
@@ -27,7 +28,7 @@ def test_exact_plugs_give_the_resin_back() -> None:
     np.testing.assert_allclose(curve.height(exposure), heights(exposure), rtol=1e-9)
 
 
-@pytest.mark.parametrize("confidence", [0.8, 0.95])
+@pytest.mark.parametrize("confidence", [0.8, pytest.param(0.95, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore:the heights do not follow")
 def test_intervals_hold_as_often_as_they_say(confidence: float) -> None:
     rng, held = np.random.default_rng(1), np.zeros(2)
@@ -39,6 +40,7 @@ def test_intervals_hold_as_often_as_they_say(confidence: float) -> None:
     assert np.abs(held / 600 - confidence).max() < 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the heights do not follow")
 def test_plugs_that_did_not_gel_count_as_such() -> None:
     """Left out, they make both numbers too small, and fitted as heights by 20 % and 27 %."""
@@ -171,3 +173,72 @@ def test_gray_fit_rises_and_ends_at_the_readings(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_gray(file)(levels), truth, atol=1e-9)
     with pytest.raises(BadInput, match="0 to 255"):
         fit_gray([0, 100], [0.0, 1.0])
+
+
+def lamp_heights(exposure: np.ndarray, light: np.ndarray, absorption: np.ndarray) -> np.ndarray:
+    """Depth at which the dose Σ E·w·μ·exp(−μ z) falls to D_gel, by bisection; 0 where the surface does not gel."""
+    shares = light / light.sum()
+    low, high = np.zeros_like(exposure), np.full_like(exposure, 100.0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        dose = exposure * (shares * absorption * np.exp(-absorption * middle[:, None])).sum(axis=1)
+        low, high = np.where(dose > GEL, middle, low), np.where(dose > GEL, high, middle)
+    return low
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.4343])
+def test_a_lamp_of_several_wavelengths_gives_the_resin_back(unit: float, tmp_path: Path) -> None:
+    light, absorption = np.array([1.0, 3.0, 2.0, 0.5]), np.array([4.0, 1.5, 0.4, 0.1])
+    mean = float(light @ absorption / light.sum())
+    exposure = np.geomspace(0.02, 5.0, 12)
+    z = lamp_heights(exposure, light, absorption)
+    assert 1 <= (z == 0).sum() <= 4
+    rows = "".join(f"{nm};{a};{b * unit}\n" for nm, a, b in zip((365, 385, 405, 425), light, absorption, strict=True))
+    (tmp_path / "lamp.csv").write_text("wavelength_nm;light;absorption\n" + rows)
+    lamp = LampSpectrum.read(tmp_path / "lamp.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        curve = WorkingCurve.fit(exposure, z, lamp=lamp)
+    assert curve.absorption_height.value == pytest.approx(np.log(10) / mean, rel=2e-3)
+    assert curve.gel_dose.value == pytest.approx(GEL, rel=2e-3)
+    np.testing.assert_allclose(curve.height(exposure)[z > 0], z[z > 0], atol=2e-3)
+    with pytest.warns(SliceWarning, match="grow more at high exposures.*one wavelength"):
+        WorkingCurve.fit(exposure, z)
+
+
+def test_one_wavelength_is_the_law(tmp_path: Path) -> None:
+    exposure = np.array([0.05, 0.2, 0.5, 1.0, 2.0])
+    rng = np.random.default_rng(2)
+    z = np.maximum(heights(exposure) + rng.normal(0, 0.02, 5), 0.0)
+    one, plain = WorkingCurve.fit(exposure, z, lamp=LampSpectrum([2.0], [0.7])), WorkingCurve.fit(exposure, z)
+    for found, expected in ((one.absorption_height, plain.absorption_height), (one.gel_dose, plain.gel_dose)):
+        assert (found.value, found.low, found.high) == pytest.approx(
+            (expected.value, expected.low, expected.high), rel=1e-3
+        )
+
+
+@pytest.mark.parametrize("light", [[1.0, 0.0], [1.0, 1e-12]], ids=["none", "next to none"])
+def test_a_wavelength_that_is_absorbed_at_once_changes_nothing(light: list[float]) -> None:
+    exposure = np.array([0.2, 0.5, 1.0, 2.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lamp = LampSpectrum(light, [1.0, 100.0])
+        np.testing.assert_allclose(lamp.depth([0.1, 1.5]), [0.1, 1.5], atol=1e-8)
+        curve = WorkingCurve.fit(exposure, heights(exposure), lamp=lamp)
+    assert curve.absorption_height.value == pytest.approx(H, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("light", "absorption", "told"),
+    [([1.0], [1.0, 2.0], "one of each for every wavelength"), ([1.0, -1.0], [1.0, 1.0], "finite and 0 or more"),
+     ([1.0, 0.0], [0.0, 3.0], "absorbs none of the lamp's light")],
+)  # fmt: skip
+def test_spectra_that_are_none_are_refused(light: list[float], absorption: list[float], told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        LampSpectrum(light, absorption)
+
+
+def test_a_spectrum_without_its_columns_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("nm,power\n405,1\n")
+    with pytest.raises(BadInput, match="has columns nm, power; expected light and absorption"):
+        LampSpectrum.read(tmp_path / "a.csv")

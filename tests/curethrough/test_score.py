@@ -15,7 +15,8 @@ from vamgpu.curethrough.report import lines, page_of
 from vamgpu.curethrough.score import cured, features, grouped, ratio, sample
 from vamgpu.errors import SliceWarning
 
-PRINTER = Printer(2.0, 0.576, 0.05, 1000 / 3600, levels_of(1.0, 0.01))
+LIGHT = levels_of(1.0, 0.01)
+PRINTER = Printer(2.0, 0.576, 0.05, 1000 / 3600, LIGHT)
 LAYERS = LayerPrinter(0.11, 0.2, 0.05, 1.0, levels_of(0.03, 0.0002))
 
 
@@ -78,8 +79,8 @@ def test_a_correction_lowers_what_is_scored() -> None:
     assert found.after.levels.shape[0] == 120 + PRINTER.tail
     names = [name for name, _, _ in lines(found)]
     assert "error ratio" in names and "features out of reach" in names
-    page = page_of(found, "<part>", {"slices from": "x"}).html()
-    assert "&lt;part&gt;" in page and page.count("<tr>") > 5 and "slices from" in page
+    page = page_of(found, "<part>").html()
+    assert "&lt;part&gt;" in page and page.count("<tr>") > 5
 
 
 def test_features_out_of_reach_are_counted_and_told() -> None:
@@ -87,10 +88,10 @@ def test_features_out_of_reach_are_counted_and_told() -> None:
     stack[5:20] = stack[21:40] = 255  # one slice of void is too short for full light
     found = correct_stack(Correction(PRINTER), stack, device="numpy")
     assert found.closed is not None and int(found.closed.sum()) == 6
-    assert "6 voids are too short" in page_of(found, "x", {}).html()
+    assert "6 voids are too short" in page_of(found, "x").html()
     bare = correct_stack(Correction(PRINTER, tail=0), stack[:40], device="numpy")
     assert bare.missed is not None and int(bare.missed.sum()) == 6
-    assert "6 features have too little space behind" in page_of(bare, "x", {}).html()
+    assert "6 features have too little space behind" in page_of(bare, "x").html()
 
 
 def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: Device) -> None:
@@ -110,11 +111,34 @@ def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: 
     np.testing.assert_array_equal(plain.after.levels[:, ~rows], whole.after.levels[:, ~rows])
 
 
+def test_a_correction_that_harms_is_told_with_the_heights() -> None:
+    """Full slices print without it; with it each of the columns lacks what a float64 model of the dose says."""
+    machine, stack = LayerPrinter(0.3, 0.01, 0.05, 2.0, levels_of(0.01, 0.0)), np.full((6, 8, 8), 255, np.uint8)
+    found = correct_stack(Correction(machine), stack, device="numpy")
+    assert found.after is not None and found.before.heights.error == 0
+    places = (np.arange(60_000) + 0.5) / 10_000 - 1  # slice n cures from ζ = n − 1 to n
+    dense = column_dose(machine, found.after.levels[:, 0], places)
+    lacks = 64 * 0.05 * 6 * (dense < 1.0).mean()
+    assert found.after.heights.error == pytest.approx(lacks, abs=64 * 1e-5) and lacks > 0.1
+    prints, said = found.verdict
+    assert not prints and "raises height errors from 0" in said and said.endswith("print without it.")
+
+
+def test_a_correction_that_leaves_errors_does_not_print() -> None:
+    """Layers of 50 µm, each too dark below: a tenth of the errors is left, a third of a slice in every column."""
+    stack = np.zeros((70, 4, 5), np.uint8)
+    stack[:8] = stack[40:64] = 255
+    found = correct_stack(Correction(LayerPrinter(0.11, 0.576, 0.05, 0.9, LIGHT)), stack, device="numpy")
+    assert found.after is not None and found.ratio is not None and found.ratio < 0.5
+    prints, said = found.verdict
+    assert not prints and "20 columns of pixels print incorrectly, by" in said and "leaves" in said
+
+
 def test_an_empty_stack_of_darkness_is_scored() -> None:
     found = correct_stack(Correction(PRINTER), np.zeros((40, 3, 4), np.uint8), device="numpy")
     assert repr(found) == "Outcome(40 × 3 × 4 slices, y, x: The slices print correctly without a correction.)"
     assert found.ratio is None and len(found.before.features) == 0
-    assert "print correctly without a correction" in page_of(found, "x", {}).html()
+    assert "print correctly without a correction" in page_of(found, "x").html()
     assert sample(np.zeros((4, 3, 5), np.uint8)).width == 5
 
 

@@ -130,6 +130,7 @@ def test_the_kept_record_has_the_default_ahead() -> None:
     assert below_voxel.overview(record) in page.read_text("utf-8"), "the page has another table than the record"
 
 
+@pytest.mark.slow
 def test_coarse_voxels_claim_what_they_do_not_print() -> None:
     numbers = draw("below", quick=True).numbers()
     coarse, default = "a, L-BFGS, voxels of 2 pixels", "d, default"

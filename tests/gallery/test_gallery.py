@@ -47,6 +47,17 @@ def test_the_pages_of_the_documentation_are_whole_and_small() -> None:
     assert max(sizes) < 150_000 and sum(sizes) < 5_000_000
 
 
+def test_the_film_of_studio_is_a_minute_long_and_small() -> None:
+    film, times, shown = PAGES / "studio.webp", list[int](), set[bytes]()
+    with Image.open(film) as opened:
+        for number in range(opened.n_frames):  # type: ignore[attr-defined]
+            opened.seek(number)
+            shown.add(opened.convert("L").resize((32, 20)).tobytes())
+            times.append(opened.info["duration"])
+    assert 58_000 <= sum(times) <= 62_000 and film.stat().st_size < 1_500_000
+    assert len(shown) >= 20 and max(times) < 6_000
+
+
 def test_parameters_change_the_picture() -> None:
     assert parameters("vial")["radius"] == 12.4
     wide, narrow = (draw("vial", quick=True, radius=r).numbers() for r in (12.4, 10.0))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import vamgpu as vam
 from vamgpu.errors import JobError, StorageError
@@ -90,6 +92,26 @@ def test_tables_are_the_bodies_of_a_scene(job: Path) -> None:
     assert [body.priority for body in scene.bodies] == [0.0, 50.0, 30.0]
 
 
+def test_names_of_a_3mf_file_are_the_same_bodies(job: Path) -> None:
+    """Objects of one file in place of three files, for which a job asks."""
+    names = {"part": "part", "pin": "insert pin", "beside": "zero_dose channel"}
+    whole = trimesh.Scene({name: trimesh.load_mesh(job.with_name(f"{file}.stl")) for file, name in names.items()})
+    whole.units = "millimeter"
+    whole.export(job.with_name("all.3mf"))
+    head, beam = TEXT[: TEXT.index("[[body]]")], TEXT[TEXT.index("[beam]") :]
+    text = f'{head}[[body]]\nmesh = "all.3mf"\nroles = "names"\ndose = 0.6\n{beam}'
+    asked, plain = (target_of(Job.parse(each, folder=job.parent), vam.open_device("numpy"))
+                    for each in (text, TEXT.replace("weight = 2.0\n", "")))  # fmt: skip
+    assert asked.limits is not None and plain.limits is not None
+    assert np.array_equal(asked.limits.dose, plain.limits.dose) and asked.limits.body.max() == 2
+    assert [(body.name, body.role) for body in asked.limits.bodies] == [
+        ("part", "print"), ("insert pin", "insert"), ("zero_dose channel", "keep out")]  # fmt: skip
+    for more in ('[wobble]\nradius = "0.1 mm"\n', '[scattering]\ncoefficient = "0.1 /mm"\n',
+                 '[travel]\nrise = "0.1 mm"\nrows = 3\n'):  # fmt: skip
+        with pytest.raises(JobError, match=rf"an insert with {re.escape(more.split()[0])}"):
+            target_of(Job.parse(text + more, folder=job.parent), vam.open_device("numpy"))
+
+
 PART = '[target]\npitch = "0.2 mm"\n[beam]\npitch = "0.2 mm"\n'
 WRONG = {
     "role": ('[[body]]\nshape = "boat"\nrole = "ornament"\n', "[[body]] 1, role"),
@@ -105,6 +127,15 @@ WRONG = {
     "colors": ('[[body]]\nshape = "boat"\n[colors]\nabsorption = "0.1 /mm"\n', "[[body]] with [colors]"),
     "one pair of brackets": ('[body]\nshape = "boat"\n', "write [[body]] in place of [body]"),
     "none": ("", 'expected exactly one of mesh = "part.stl"'),
+    "roles of an STL": (
+        '[[body]]\nmesh = "a.stl"\nroles = "names"\n',
+        "got roles with a.stl; expected the mesh of a 3MF",
+    ),
+    "roles and a role": (
+        '[[body]]\nmesh = "a.3mf"\nroles = "names"\nrole = "insert"\npart = 1\n',
+        "roles with part, role",
+    ),
+    "guessed roles": ('[[body]]\nmesh = "a.3mf"\nroles = "guess"\n', "[[body]] 1, roles"),
 }
 
 

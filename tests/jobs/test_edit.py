@@ -82,3 +82,13 @@ def test_every_key_of_the_demo_can_be_set_and_removed() -> None:
             gone = parse_toml(edited(JOB, {}, [f"{table}.{key}"]))
             assert gone == data | {table: {each: keys[each] for each in keys if each != key}}
             assert edited(JOB, {f"{table}.{key}": value}) == JOB
+
+
+def test_the_number_after_the_last_body_adds_one() -> None:
+    bodies = {"body.2.mesh": "pin.stl", "body.2.role": "keep out"}
+    added = edited(TEXT, bodies)
+    assert added == TEXT + '\n[[body]]\nmesh = "pin.stl"\nrole = "keep out"\n'
+    with pytest.raises(JobError, match="no such table"):
+        edited(TEXT, {"body.3.mesh": "pin.stl"})
+    first = edited('[vial]\nradius = "8 mm"\n', {"body.0.shape": "boat", "body.1.shape": "vase"})
+    assert parse_toml(first)["body"] == [{"shape": "boat"}, {"shape": "vase"}]

@@ -19,7 +19,7 @@ from vamgpu.jobs.build import projection_of, target_of, with_diffusion
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.jobs.web import WebJob, roller_of
+from vamgpu.jobs.web import WebJob
 from vamgpu.methods import METHODS, GeneralizedLogistic, SurfaceRamp
 from vamgpu.methods.dual import LeastSquares
 from vamgpu.operators.compose import Composed
@@ -335,7 +335,8 @@ def test_a_web_has_every_option_of_its_roller_and_film() -> None:
     options += 'planes = ["-9 mm", "-0.5 cm"]\n'
     text = WEB.replace("[film]\n", '[film]\nsubstrate = ["0.1 mm", 1.6]\n')
     text = text.replace("[roller]\n", f"[roller]\n{options}")
-    roller = roller_of(WebJob.parse(text).file)
+    file = WebJob.parse(text).file
+    roller = file.roller(film=file.film)
     assert (roller.reflectivity, roller.compensation, roller.neutral, roller.rays, roller.fan) == (0.1, 2.0, 0.4, 16, 5)
     assert roller.planes == pytest.approx((-9.0, -5.0))
     assert roller.divergence == pytest.approx(1 * deg) and roller.film.substrate == (pytest.approx(0.1), 1.6)

@@ -29,6 +29,7 @@ from vamgpu.jobs.run import prove
 from vamgpu.printing.export import export
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.storage.folder import Folder
+from vamgpu.storage.images import encode_png
 from vamgpu.storage.pickles import read_pickle
 from vamgpu.targets import shapes
 
@@ -142,16 +143,19 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"vial": VIAL | {"type": "square", "w_int": 10, "w_ext": 12}}, "expected index_matched or cylindrical"),
+        ({"vial": VIAL | {"type": "square", "w_int": 10, "w_ext": 12}}, "a container that is .square., without which"),
         ({"vial": VIAL | {"occlusions": [{"filename": "a.ply"}]}}, "occlusions, without which"),
-        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply", "bsdf": {"type": "dull"}}]}}, "expected a black one"),
+        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply", "bsdf": {"type": "dull"}}]}}, "a dielectric or one of"),
         ({"vial": VIAL | {"r_inn": 7}}, r"its key vial\.r_inn is unknown; did you mean r_int\?"),
         ({"vial": VIAL | {"medium": MEDIUM | {"absorption": 1}}}, r"medium\.absorption is unknown; expected one of"),
+        ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": 1, "albedo": 0.5}}}, "0.5 without a phase"),
+        ({"loss": {"type": "thresold"}}, "its loss is 'thresold'; expected threshold or l2"),
+        ({"n_patterns": 24}, "its key n_patterns is unknown; expected it in projector: move it"),
         ({"filter_random": True}, r"its key filter_random is unknown; did you mean filter_radon\?"),
         ({"projector": {"type": "collimated", "n_patterns": 25, "pixel_size": 0.5}}, r"n_patterns 25, and .* 24"),
         ({"projector": {"type": "collimated", "resx": 25, "pixel_size": 0.5}}, r"resx 25, and 'patterns\.npz' 24"),
-        ({"projector": {"type": "lens"}}, "lacks 'pixel_size'"),
-        ({"projector": {"type": "lens", "pixel_size": 0.1}}, "expected a collimated or telecentric"),
+        ({"projector": {"type": "collimated"}}, "lacks 'pixel_size'"),
+        ({"projector": {"type": "spot", "pixel_size": 0.1}}, "expected a collimated, telecentric or lens one"),
         ({"target": {}}, "lacks 'filename'"),
         ({"sensor": 3}, "sensor, which is not a table"),
         ({"vial": VIAL | {"r_ext": 0.1}}, "r_ext, which is 0.1; expected a number above"),
@@ -169,10 +173,14 @@ def test_a_set_up_without_a_model_is_refused(changes: dict[str, Any], said: str,
 
 
 def test_what_is_left_out_of_a_configuration_is_told_by_name(tmp_path: Path) -> None:
-    more: dict[str, Any] = {"physical_model": {"type": "a"}, "time": 30.0, "filter_radon": True, "_remark": "mine"}
+    more: dict[str, Any] = {
+        "physical_model": {"type": "inhibitor"},
+        "time": 30.0,
+        "filter_radon": True,
+        "_remark": "mine",
+    }
     notes = import_task(configuration(tmp_path, **more), tmp_path / "box.toml")
     assert notes[1:] == (
-        "its physical_model is left out: describe the resin in the job",
         "its time is left out: it follows from irradiance and dose",
         "its filter_radon left out: `vam solve` has methods of its own",
     )
@@ -213,6 +221,12 @@ def test_what_is_no_json_is_told(tmp_path: Path) -> None:
     (tmp_path / "cut.json").write_text('{"vial":')
     with pytest.raises(StorageError, match=r"cannot read .*cut\.json': Expecting value.*; expected a configuration"):
         import_task(tmp_path / "cut.json", tmp_path / "job.toml")
+
+
+@pytest.mark.parametrize("name", ["a.json", "a.mp4", "a.sino", "a"])
+def test_a_source_that_does_not_exist_is_named(name: str, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=rf"there is no '.*{name}'; check the path"):
+        import_patterns(tmp_path / name, tmp_path / "b.vam", device="cpu")
 
 
 def test_negative_light_is_not_called_dark(tmp_path: Path) -> None:
@@ -310,6 +324,55 @@ def test_a_sinogram_and_its_voxels_become_a_job_that_proves(toolbox: Any, tmp_pa
     assert found.window == pytest.approx(own.window, abs=2e-3)
 
 
+def test_a_preset_of_vamtoolbox_becomes_a_job(tmp_path: Path) -> None:
+    trimesh.creation.box((2, 3, 4)).export(tmp_path / "box.stl")
+    said: dict[str, Any] = {"stl_path": "box.stl", "part_height_mm": 12.0, "voxel_pitch_um": 100.0, "n_angles": 90,
+                            "vial_radius_mm": 10.0, "proj_u_px": 200, "proj_v_px": 150, "mm_per_pix": 0.1,
+                            "diffusion": True, "method": "BCLP", "throw_ratio": float("inf")}  # fmt: skip
+    (tmp_path / "preset.json").write_text(json.dumps(said))
+    notes = import_task(tmp_path / "preset.json", tmp_path / "job.toml")
+    assert notes == ("its method left out: `vam solve` has methods of its own",)
+    job = read_job(tmp_path / "job.toml")
+    part = target_of(job, vam.open_device("numpy"))
+    assert part.height == pytest.approx(12.0) and part.grid.pitch == 0.1
+    vial: Any = job.file.vial
+    assert (vial.radius, vial.inner_radius, vial.resin_index, vial.bath_index) == (10.0, 10.0, 1.51, 1.0)
+    assert vial.absorption == pytest.approx(36.0 * 4e-3 * np.log(10.0) / 10.0)
+    assert (job.file.beam.pixels, job.file.beam.pitch, job.file.turntable.angles) == ((200, 150), 0.1, 90)
+    diffusion = job.file.resin.diffusion
+    assert diffusion is not None and (diffusion.diffusivity, diffusion.seconds) == (1e-4, 10.0)
+    more = {"throw_ratio": 2.0, "absorption_coeff_cm": 0.5, "diffusion": False, "voxel_pitch_um": 72.0}
+    (tmp_path / "preset.json").write_text(json.dumps(said | more))
+    import_task(tmp_path / "preset.json", tmp_path / "job.toml", overwrite=True)
+    assert 'pitch = "0.072 mm"' in (tmp_path / "job.toml").read_text()
+    vessel: Any = read_job(tmp_path / "job.toml").file.vessel
+    assert vessel.throw == pytest.approx(2.0 * 200 * 0.1) and vessel.inner.absorption == pytest.approx(0.05)
+    for wrong, words in (({"part_heigt_mm": 1}, "did you mean part_height_mm"), ({"stl_path": None}, "has no stl_path"),
+                         ({"n_angles": "9"}, "n_angles, which is '9'")):  # fmt: skip
+        (tmp_path / "preset.json").write_text(json.dumps(said | wrong))
+        with pytest.raises(BadInput, match=words):
+            import_task(tmp_path / "preset.json", tmp_path / "job.toml", overwrite=True)
+    with pytest.raises(BadInput, match="preset of VAMToolbox, which has no patterns; make a job of it with --out"):
+        read_drtvam(tmp_path / "preset.json")
+
+
+def test_a_sinogram_of_other_angles_than_the_job_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((16, 60, 4), np.float32))
+    with pytest.raises(BadInput, match="patterns for 60 angles, but the job has 90; expected the same number"):
+        import_patterns(tmp_path / "a.npy", tmp_path / "a.vam", settings=["turntable.angles=90", "target.shape=boat",
+                        "target.height=3 mm", "target.pitch=0.5 mm", "beam.pitch=0.5 mm"])  # fmt: skip
+
+
+def test_roles_of_voxels_that_are_left_out_are_told(toolbox: Any, tmp_path: Path) -> None:
+    part = np.zeros((16, 16, 4))
+    part[4:9, 6:12] = 1.0
+    target = toolbox(array=part, insert=part[::-1] > 0, zero_dose=None)
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(target))
+    np.save(tmp_path / "a.npy", np.ones((16, 6, 4), np.float32))
+    notes = read_vamtoolbox(tmp_path / "a.npy", tmp_path / "a.pkl").notes
+    assert "the insert voxels of its target are left out; describe them as [[body]] in a job" in notes
+
+
 class Harm:
     """Would make a file when it is unpickled."""
 
@@ -388,6 +451,48 @@ def test_images_without_a_word_lie_as_they_are_said_to(flip_r: bool, flip_z: boo
     assert expected.sum() == pytest.approx(found.sum(), rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("f1.png", "f2.png", "f4.png"), r"between 'f2\.png' and 'f4\.png' the numbers go from 2 to 4"),
+        (("f1.png", "f01.png", "f2.png"), "the numbers go from 1 to 1"),
+        (("f1.png", "logo.png", "f2.png"), r"'logo\.png' is named otherwise than the 2 images f#\.png"),
+        (("a.jpg", "b.jpg"), "no images besides JPG, which loses gray levels"),
+        (("manifest.json",), "is a job folder already; .* vam prove "),
+        (("9.png", "10.png", "11.png"), ""),
+        (("a-0.png", "a-5.png", "a-10.png"), ""),
+        (("left.png", "right.png"), ""),
+    ],
+)
+def test_a_folder_whose_images_do_not_follow_each_other_is_refused(
+    names: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    for name in names:
+        (tmp_path / name).write_bytes(encode_png(np.full((2, 2), 255, np.uint8)))
+    if not said:
+        assert read_pictures(tmp_path, Layout()).light.shape[0] == len(names)
+        return
+    with pytest.raises(BadInput, match=said):
+        read_pictures(tmp_path, Layout())
+
+
+def test_images_with_colors_or_of_other_formats_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "f1.png").write_bytes(encode_png(np.full((2, 2, 3), 200, np.uint8)))
+    (tmp_path / "f2.png").write_bytes(encode_png(np.full((2, 2), 200, np.uint8)))
+    assert np.allclose(read_pictures(tmp_path, Layout()).light, 200 / 255)  # gray in three channels
+    (tmp_path / "f2.png").write_bytes(encode_png(np.array([[[200, 200, 199]] * 2] * 2, np.uint8)))
+    with pytest.raises(StorageError, match=r"f2\.png': it has colors"):
+        read_pictures(tmp_path, Layout())
+    (tmp_path / "f2.png").write_text("text")
+    with pytest.raises(StorageError, match=r"f2\.png': it is none of PNG, TIFF"):
+        read_pictures(tmp_path, Layout())
+    (tmp_path / "f2.png").unlink()
+    for layout, wrong in ((Layout(level=0.3), "--level is 0.3, and the images have 2 rows"),
+                          (Layout(angles=0), "--angles is 0, but .* has 1 image; expected")):  # fmt: skip
+        with pytest.raises(BadInput, match=wrong):
+            read_pictures(tmp_path, layout)
+
+
 def test_a_job_says_what_images_do_not(tmp_path: Path) -> None:
     frames, _ = shown(tmp_path)
     place = export(frames, tmp_path / "png")
@@ -406,7 +511,7 @@ def test_a_job_says_what_images_do_not(tmp_path: Path) -> None:
         import_patterns(place, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="cpu")
     with pytest.raises(BadInput, match="leave beam.pixels out"):
         import_patterns(place, tmp_path / "a.vam", job=job, settings=["beam.pixels=[3, 4]"], device="cpu")
-    with pytest.raises(BadInput, match="axis is at pixel 99"):
+    with pytest.raises(BadInput, match="--axis is 99, and the images have 14 columns; expected 0 to 13, in"):
         import_patterns(place, tmp_path / "a.vam", job=job, layout=Layout(axis=99.0), device="cpu")
     with pytest.raises(BadInput, match="cannot import"):
         import_patterns(job, tmp_path / "a.vam", device="cpu")
@@ -429,5 +534,5 @@ def test_a_job_goes_to_dr_tvam_and_back(tmp_path: Path) -> None:
     square = vam.Projection(target.grid, A.beam, vam.Turntable([0.0, 0.1]), None, "numpy")
     with pytest.raises(BadInput, match="expected equal steps"):
         export_drtvam(vam.pack(vam.optimize(square, target, iterations=1)), tmp_path / "b")
-    with pytest.raises(BadInput, match="of no plan"):
+    with pytest.raises(BadInput, match="got frames without a plan"):
         export_drtvam(replace(frames, packed=None), tmp_path / "b")

@@ -43,7 +43,10 @@ from vamgpu.units import NAMES
         ("266 Hz", "a rate", 266.0),
         ("5 ms", "a time", 0.005),
         ("1.1 g/cm3", "a density", 1.1e-9),
+        ("1.1 g/mL", "a density", 1.1e-9),
         ("43.7 Pa s", "a viscosity", 43.7e-6),
+        ("500 mPa·s", "a viscosity", 0.5e-6),
+        ("500 cP", "a viscosity", 0.5e-6),
     ],
 )
 def test_units_become_mm_s_and_mj(text: str, kind: str, value: float) -> None:
@@ -61,14 +64,14 @@ def test_what_is_no_length_is_refused_with_an_example(text: object) -> None:
 @pytest.mark.parametrize(
     ("text", "kind", "said"),
     [
-        ("65 mW", "an irradiance", r"unit 'mW'; expected an irradiance in mW/cm2, W/cm2, mW/mm2.*65 mW/cm2"),
-        ("65 mJ/cm2", "an irradiance", "unit 'mJ/cm2'"),
-        ("100 mJ/cm²", "a dose", r"unit 'mJ/cm²'; expected a dose in mJ/cm3, J/cm3, mJ/mm3.*100 mJ/cm3"),
-        ("100", "a dose", "no unit"),
-        ("0.2 in", "a length", r"unit 'in': 0\.2 × 25\.4 mm = 5\.08 mm; expected a length .*like \"5\.08 mm\""),
+        ("65 mW", "an irradiance", r"expected an irradiance in mW/cm2, W/cm2, mW/mm2, not 'mW': .*65 mW/cm2"),
+        ("65 mJ/cm2", "an irradiance", "not 'mJ/cm2'"),
+        ("100 mJ/cm²", "a dose", r"expected a dose in mJ/cm3, J/cm3, mJ/mm3, not 'mJ/cm²': .*100 mJ/cm3"),
+        ("100", "a dose", "not a number without a unit"),
+        ("0.2 in", "a length", r"expected a length .*not 'in' \(0\.2 × 25\.4 mm = 5\.08 mm\): .*like \"5\.08 mm\""),
         ("0.01in", "a length", r"0\.01 × 25\.4 mm = 0\.254 mm"),
         ("5 mil", "a length", r"= 0\.127 mm"),
-        ("100 mJ cm-2", "a dose", "unit 'mJ cm-2'"),
+        ("100 mJ cm-2", "a dose", "not 'mJ cm-2'"),
     ],
 )
 def test_a_dose_is_no_exposure_and_an_irradiance_no_power(text: str, kind: str, said: str) -> None:

@@ -94,6 +94,7 @@ def test_scattering_beside_what_it_does_not_know_is_refused(tmp_path: Path, othe
     ("anisotropy = 1", r"line \d+: scattering: .* −0.98 to 0.98"),
     ('anisotropy = "mie"', r"line \d+: scattering.anisotropy: got 'mie'; expected 'rayleigh'; correct the value$"),
     ('phase = [["0 deg", 1], ["170 deg", 1]]', r"line \d+: scattering: .* from 0° to 170°; .* to 180°"),
+    ('anisotropy = 0.5\nphase = [["0 deg", 1], ["180 deg", 1]]', r"line \d+: scattering.phase: .*; remove one$"),
 ])  # fmt: skip
 def test_wrong_scattering_is_named_with_its_line(tmp_path: Path, key: str, said: str) -> None:
     with pytest.raises(JobError, match=said):

@@ -23,14 +23,13 @@ from vamgpu.storage.folder import Folder
 SMALL = ["target.pitch=500 um", "beam.pitch=700 um", "turntable.angles=24", "solve.iterations=9"]
 
 
-@pytest.mark.parametrize("name", ["cpu", pytest.param("numpy", marks=pytest.mark.slow)])
-def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
+def test_a_job_is_solved_written_and_proven(tmp_path: Path) -> None:
     progress: list[str] = []
-    job = Job.parse(JOB, [*SMALL, f"solve.device={name}"])
+    job = Job.parse(JOB, [*SMALL, "solve.device=cpu"])
     folder = solve(job, tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
     assert list(dict.fromkeys(progress)) == ["voxels", "light", "frames", "folder"]
     assert folder.manifest.inputs["job"]["vial"]["radius"] == "12.4 mm"
-    proven = prove(tmp_path / "boat.vam", name)
+    proven = prove(tmp_path / "boat.vam", "cpu")
     assert proven.proof.scores.in_voxels > 100
     drawn, known = target_of(job, open_device("numpy")).solid, proven.proof.solid  # depths and walls are the mesh's
     assert drawn and known and np.array_equal(known.vertices[known.faces], drawn.vertices[drawn.faces])
@@ -39,13 +38,6 @@ def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
     losses = [step["loss"] for step in proven.plan.history]
     assert len(losses) == 9 and losses[-1] < losses[0]
     assert proven.plan.papers
-
-
-def test_a_proof_is_the_same_from_another_device(tmp_path: Path) -> None:
-    coarse = ["target.pitch=1200 um", "beam.pitch=1200 um", "turntable.angles=5", "solve.iterations=2"]
-    solve(Job.parse(JOB, [*coarse, "solve.device=cpu"]), tmp_path / "boat.vam")
-    here, there = prove(tmp_path / "boat.vam", "numpy").proof, prove(tmp_path / "boat.vam").proof
-    assert np.abs(here.dose.numpy() - there.dose.numpy()).max() <= 1e-5 * here.scores.peak
 
 
 @pytest.fixture(scope="module")
@@ -82,22 +74,20 @@ def test_a_beam_s_optics_go_into_the_job_folder_and_come_back(tmp_path: Path) ->
     )
     optics = ["beam.fill=0.92", "beam.spread=25 um"]
     cases = (
-        ([], Beam((4, 4), 0.6), "exact"),
-        (optics, Beam((4, 4), 0.6, 0.92, 0.025), "exact"),
-        (["beam.spread=0 mm"], Beam((4, 4), 0.6, 1.0, 0.0), "exact"),
-        (["beam.spread=result.toml"], Beam((4, 4), 0.6, 1.0, (0.25 - (0.36 + 1e-4) / 12) ** 0.5), "exact"),
+        ([], Beam((4, 4), 0.6)),
+        (optics, Beam((4, 4), 0.6, 0.92, 0.025)),
+        (["beam.spread=0 mm"], Beam((4, 4), 0.6, 1.0, 0.0)),
+        (["beam.spread=result.toml"], Beam((4, 4), 0.6, 1.0, (0.25 - (0.36 + 1e-4) / 12) ** 0.5)),
     )
     device = open_device("numpy")
-    for settings, beam, footprint in cases:
+    for settings, beam in cases:
         job = Job.parse(JOB, [*SMALL[:3], "beam.pitch=0.6 mm", "beam.pixels=[4, 4]", *settings], folder=tmp_path)
         A = projection_of(job.file, target_of(job, device), device, job.folder)
-        assert A.beam.fill == beam.fill and A.footprint == footprint
+        assert A.beam.fill == beam.fill
         assert A.beam.spread == (None if beam.spread is None else pytest.approx(beam.spread, rel=1e-12))
         described = json.loads(json.dumps(describe(A)))
         B = projection_from(described, device)
-        assert (B.beam, B.footprint) == (A.beam, footprint)
-        for name, value in (("fill", beam.fill), ("footprint", footprint)):
-            assert described["beam"][name] == value
+        assert B.beam == A.beam and described["beam"]["fill"] == beam.fill
 
 
 @pytest.mark.slow
@@ -105,14 +95,14 @@ def test_a_folder_from_before_the_optics_is_read_as_it_was_meant(done: Demo, tmp
     folder = copytree(done.folder, tmp_path / "boat.vam")
     file = folder / "manifest.json"
     data = json.loads(file.read_text(encoding="utf-8"))
-    for name in ("fill", "spread", "footprint"):
+    for name in ("fill", "spread"):
         del data["inputs"]["geometry"]["beam"][name]
     del data["inputs"]["geometry"]["vessel"]["polarization"]
     file.write_text(json.dumps(data), encoding="utf-8")
     with pytest.warns(OpticsWarning, match="fill 1, spread 0.*solve it again"):
         proof = prove(folder).proof
     A = proof.operator
-    assert (A.beam.fill, A.beam.spread, A.footprint) == (1.0, 0.0, "exact")
+    assert (A.beam.fill, A.beam.spread) == (1.0, 0.0)
     assert A.vessel == done.proven.proof.operator.vessel
 
 

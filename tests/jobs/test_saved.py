@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -20,6 +21,7 @@ from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import is_interrupted, prove, solve
 from vamgpu.losses.voxel_loss import VoxelLoss
 from vamgpu.methods.plan_folder import load_plan
+from vamgpu.methods.tolerances import Corner
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import repack
@@ -29,6 +31,7 @@ from vamgpu.targets import shapes
 SMALL = ["target.pitch=1.6 mm", "beam.pitch=1.6 mm", "turntable.angles=8", "solve.iterations=4", "solve.device=cpu"]
 
 
+@cache
 def projection(device: Any = "cpu") -> tuple[vam.Projection, vam.Target]:
     target = vam.Target.from_mesh(shapes.build("boat"), height=6.0, pitch=1.0, device=device)
     vial = vam.Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.47, bath_index=1.0, absorption=0.05)
@@ -39,7 +42,10 @@ def same(one: Any, other: Any) -> bool:
     return np.array_equal(one.numpy(), other.numpy())
 
 
-@pytest.mark.parametrize("method", ["ramp", "osmo", "bclp", "lbfgs", "recipe", "penalty", "cal"])
+@pytest.mark.parametrize("method", [
+    "ramp", "osmo", "bclp", "lbfgs",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("recipe", "penalty", "cal")),
+])  # fmt: skip
 def test_a_plan_comes_back_and_goes_on_bit_by_bit(method: str, tmp_path: Path) -> None:
     A, target = projection()
     plan = vam.optimize(A, target, method, iterations=2)
@@ -123,9 +129,12 @@ def test_a_proof_comes_back_without_a_simulation(tmp_path: Path, monkeypatch: py
     A, target = projection()
     frames = vam.pack(vam.optimize(A, target, iterations=2))
     proof = vam.simulate(A, frames, target, irradiance="65 mW/cm2", critical_dose="50 mJ/cm3")
+    proof = replace(proof, off=Corner(axis=0.02, spread=0.03, dose=-0.05))
+    assert proof.lines()[0].value == "axis +20 µm, spread 30 µm, dose -5 %"
     proof.save(tmp_path / "a.vam")
     monkeypatch.setattr("vamgpu.printing.independent_exposure.IndependentExposure.averaged", None)
     back: Any = vam.load(tmp_path / "a.vam", "cpu")
+    assert back.off == proof.off
     assert back.scores == proof.scores and back.claimed == proof.claimed and back.outer == proof.outer
     assert back.exposure == proof.exposure and same(back.dose, proof.dose)
     assert same(back.frames.images, frames.images) and back.solid is not None

@@ -109,7 +109,7 @@ def test_the_gradient_from_a_state_is_that_of_differences() -> None:
     _, model, light, _ = setup()
     rest = model.going_on(2, model.going_on(1).state(light), visible=0.9)
     device, rng = rest.device, np.random.default_rng(3)
-    slope = rng.standard_normal(rest.shape).astype(np.float32)
+    slope = rng.standard_normal(rest.operators[0].domain.shape).astype(np.float32)
     rest.expose(light)
     gradient = rest.gradient(device.upload(slope))
     for color in range(2):

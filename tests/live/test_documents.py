@@ -13,6 +13,7 @@ from vamgpu.webs.proof import prove_web
 DOCS = Path(__file__).parents[2] / "docs"
 
 
+@pytest.mark.slow
 def test_webs_and_two_colors_are_replanned_as_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     text, names = (DOCS / "live-webs.md").read_text(encoding="utf-8"), dict[str, Any]()

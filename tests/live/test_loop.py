@@ -48,6 +48,7 @@ def test_the_resin_gets_the_dose_that_was_planned_by_rays_of_its_own() -> None:
     assert np.abs(coarse - planned)[part > 0].max() < 0.02 * planned.max()
 
 
+@pytest.mark.slow
 def test_a_fixed_timer_fails_over_five_generations_of_resin_where_the_scatter_stop_holds() -> None:
     """Resin is solid after the automatic exposure paper's print times, 56.8 to 37.2 s; frames are half a turn each.
 
@@ -82,6 +83,7 @@ def test_a_fixed_timer_fails_over_five_generations_of_resin_where_the_scatter_st
         assert stop.stopped == pytest.approx(timer * seconds / fresh, abs=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rings", [False, True])
 def test_images_go_down_and_new_light_comes_up_and_no_field_else(rings: bool, monkeypatch) -> None:
     made, part, light = setup()
@@ -147,7 +149,7 @@ def test_a_print_in_aged_resin_is_saved_and_replayed_bit_by_bit(rings: bool, tmp
 
     with pytest.raises(BadInput, match="rate"):
         film(record, tmp_path / "other.mp4", rate=0.0)
-    with pytest.raises(StorageError, match="no such folder"):
+    with pytest.raises(StorageError, match="none' does not exist; make it"):
         film(record, tmp_path / "none" / "live.mp4")
 
     with pytest.raises(StorageError, match="another folder"):

@@ -159,6 +159,7 @@ def overlap(dose: np.ndarray, inside: np.ndarray) -> float:
     return float((hit / (np.arange(dose.size) + 1 + inside.sum() - hit)).max())
 
 
+@pytest.mark.slow
 def test_the_reference_run_is_stable_for_400_iterations() -> None:
     """On the paper's film and roller, coarse: its loss never rises, and nothing tells of divergence."""
     A, part = web(SkeletalGyroid(6.0), 24)

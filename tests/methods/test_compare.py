@@ -34,7 +34,7 @@ def test_thresholds_are_those_asked_for(name: str) -> None:
         assert method.response.middle == pytest.approx(0.65)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("budget", [4.0, 11.0, 20.0])
+@pytest.mark.parametrize("budget", [4.0, pytest.param(11.0, marks=pytest.mark.slow), 20.0])
 @pytest.mark.parametrize("name", LABELS)
 def test_the_budget_is_kept_and_spent(name: str, budget: float) -> None:
     plan = compared(A, PART, name, budget)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from points import PointProjection
+from scipy import sparse
+from scipy.optimize import linprog
+from widest import entries_of, widest
 
 from profiling.color_contrast import Contrast
-from vamgpu import Beam, Grid, Projection, Turntable, Vat, open_device
+from vamgpu import Beam, Grid, Projection, Turntable, Vat, Vial, open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
-from vamgpu.methods.dual import METHODS, Colors, DualColor, LeastSquares, Tolerant, superpose
+from vamgpu.methods.dual import METHODS, Colors, DualColor, LeastSquares, Tolerant, WidestWindow, bound, superpose
 from vamgpu.methods.dual.passes import DualState
+from vamgpu.methods.dual.window import BothColors, WindowLoss
 
 N = 32
 
@@ -62,6 +68,112 @@ def test_empty_bins_between_points() -> None:
     A = PointProjection(Grid((8, 8, 1), 1.0), Turntable(1), 0.25)
     light = A(np.ones((8, 8, 1)))[0, :, 0]
     assert np.count_nonzero(light) == 8 and light.max() == 8
+
+
+# ---- the widest window ----------------------------------------------------------------------------------------------
+def vial_colors(device: Device | str | None) -> Colors:
+    """Two colors in a vial, for slices of 14 × 14 voxels."""
+    grid, beam, motion = Grid((14, 14, 1), 0.2), Beam((18, 1), 0.2), Turntable(24)
+    vials = (Vial(2.2, 0.1, 1.49, 1.49, bath_index=1.49, absorption=mu) for mu in (0.05, 0.1))
+    visible, uv = (Projection(grid, beam, motion, vial, device) for vial in vials)
+    return Colors(visible, uv)
+
+
+def slice_of(part: str) -> np.ndarray:
+    at = np.arange(14) - 6.5
+    x, y = at[:, None], at[None, :]
+    r = np.hypot(x, y)
+    found = {
+        "ring": (r < 4.7) & (r > 2.4),
+        "cross": ((abs(x) < 1.2) | (abs(y) < 1.2)) & (r < 5.5),
+        "bars": (r < 5.5) & (abs(y % 4 - 2) < 1),
+        "plate": (r < 5.5) & (np.hypot(x - 1.8, y) > 1.2) & (np.hypot(x + 2.4, y - 1.2) > 0.8),
+    }
+    return found[part].astype(np.float32)[:, :, None]
+
+
+def window_of(dose: np.ndarray, part: np.ndarray, near: np.ndarray) -> float:
+    """Strict window of a dose, of which negative values count as 0."""
+    some, inside = np.maximum(dose, 0.0)[near], part[near] > 0.5
+    return float((some[inside].min() - some[~inside].max()) / some.max())
+
+
+def test_light_of_both_colors_is_their_difference_and_its_transpose_exact(fast_device: Device) -> None:
+    colors = vial_colors(fast_device)
+    both = BothColors(colors.visible, colors)
+    assert both.dot_test() < 1e-6
+    light = np.random.default_rng(1).random(both.range.shape, dtype=np.float32)
+    wanted = colors.visible.T(light[:24]) - colors.uv.T(light[24:])
+    np.testing.assert_allclose(both.T(light), wanted, atol=2e-6 * np.abs(wanted).max())
+
+
+SHARES = {"ring": 0.99, "bars": 0.99, "cross": 0.99, "plate": 0.9}
+"""Least share of the optimum after 400 evaluations of both colors."""
+
+
+@pytest.mark.parametrize("part", ["ring", *(pytest.param(name, marks=pytest.mark.slow) for name in [*SHARES][1:])])
+def test_the_window_of_two_colors_is_near_the_optimum_and_never_beyond(part: str) -> None:
+    exact, given = vial_colors("numpy"), slice_of(part)
+    near = np.broadcast_to(exact.visible.grid.cylinder()[:, :, None], given.shape)  # type: ignore[attr-defined]
+    inside, outside = ((given > 0.5) & near).ravel(), ((given < 0.5) & near).ravel()
+    entries: Any = sparse.hstack([entries_of(exact.visible), -entries_of(exact.uv)]).tocsr()
+    optimum, alone = widest(entries[inside], entries[outside]), entries[:, : entries.shape[1] // 2]
+    plan = superpose(vial_colors(None), given, "window")
+    found = window_of(plan.dose().numpy(), given, near)
+    assert SHARES[part] * optimum < found <= optimum + 1e-5
+    assert found > 2.0 * widest(alone[inside], alone[outside])
+    assert plan.uv is not None and plan.uv.numpy().min() >= 0.0 <= plan.visible.numpy().min()
+    assert plan.history[-1].evaluations <= 800.0
+    colors = (plan.colors.visible.T(plan.visible), plan.colors.uv.T(plan.uv))
+    rounding = (
+        2 * np.finfo(np.float32).eps * max(color.numpy().max() for color in colors)
+    )  # of doses that are subtracted
+    np.testing.assert_allclose(plan.dose().numpy().max(), 1.0, rtol=0.0, atol=rounding)
+
+
+def test_the_loss_of_a_window_is_least_at_the_best_levels() -> None:
+    """By a search over both levels in float64, and its gradient by differences; voxels off the axis do not count."""
+    device, rng, lack = open_device("numpy"), np.random.default_rng(2), 0.7
+    dose, part = rng.normal(0.5, 0.5, (9, 9, 3)), rng.random((9, 9, 3)) < 0.4
+    near = np.broadcast_to((np.hypot(*np.mgrid[-4:5, -4:5]) <= 3.0)[:, :, None], dose.shape)
+    a, b = np.meshgrid(np.linspace(-2.0, 1.0, 3001), np.linspace(0.0, 2.0, 3001), indexing="ij", sparse=True)
+
+    def least(dose: np.ndarray) -> float:
+        inside, outside = dose[near & part], dose[near & ~part]
+        low = sum(np.maximum(a - d, 0.0) ** 2 + max(d - 1.0, 0.0) ** 2 for d in inside) / (2.0 * lack) - a
+        return float(low.min() + (sum(np.maximum(d - b, 0.0) ** 2 for d in outside) / (2.0 * lack) + b).min())
+
+    loss, field, slope = WindowLoss(lack), device.upload(dose), device.empty(dose.shape)
+    value = loss.value_and_gradient(field, device.upload(part.astype(float)), slope, 3.0)
+    assert value == pytest.approx(least(dose), abs=1e-5)
+    way = rng.normal(size=dose.shape)
+    rise = (least(dose + 0.01 * way) - least(dose - 0.01 * way)) / 0.02
+    assert np.vdot(slope.numpy(), way) == pytest.approx(rise, rel=5e-3)
+    assert not slope.numpy()[~near].any()
+
+
+@pytest.mark.slow
+def test_a_bound_of_limited_light_is_above_the_optimum_and_near_it() -> None:
+    """By linear programming with the same limit, of eight angles, which do not suffice for a window of 1."""
+    grid, beam, motion = Grid((14, 14, 1), 0.2), Beam((18, 1), 0.2), Turntable(8)
+    vials = [Vial(2.2, 0.1, 1.49, 1.49, bath_index=1.49, absorption=mu) for mu in (0.05, 0.1)]
+    visible, uv = (Projection(grid, beam, motion, vial) for vial in vials)
+    colors, given = Colors(visible, uv), slice_of("plate")
+    plan = superpose(colors, given, WidestWindow(200))
+    brightest = max(light.numpy().max() for light in (plan.visible, plan.uv))  # type: ignore[union-attr]
+    found, near = bound(plan, given, 1000, brighter=1.0), grid.cylinder()[:, :, None] & np.ones(given.shape, bool)
+    A, B = (Projection(grid, beam, motion, vial, "numpy") for vial in vials)
+    entries: Any = sparse.hstack([entries_of(A), -entries_of(B)]).tocsr()
+    part, void = entries[((given > 0.5) & near).ravel()], entries[((given < 0.5) & near).ravel()]
+    ones, zeros = (lambda m: np.ones((m.shape[0], 1))), (lambda m: sparse.csr_matrix((m.shape[0], 1)))
+    rows = [[-part, ones(part), zeros(part)], [void, zeros(void), -ones(void)], [part, zeros(part), zeros(part)]]
+    most = np.r_[np.zeros(part.shape[0] + void.shape[0]), np.ones(part.shape[0])]
+    limits = [(0.0, brightest)] * entries.shape[1] + [(None, None), (0.0, None)]
+    cost = np.r_[np.zeros(entries.shape[1]), -1.0, 1.0]
+    optimum = -linprog(cost, sparse.vstack([sparse.hstack(row) for row in rows]), most, bounds=limits).fun
+    window = window_of(plan.dose().numpy(), given, near)
+    assert window <= optimum < found.value < optimum + 0.15 and found.value < 0.95
+    assert "times the greatest dose" in found.statement(window)
 
 
 # ---- rules ----------------------------------------------------------------------------------------------------------
@@ -194,6 +306,11 @@ def test_contrast_by_hand() -> None:
     assert (found.half, found.three_quarters) == pytest.approx((2 / 3, 0.5))
     assert found.undersupply == pytest.approx(np.sqrt((0.4**2 + 0.2**2) / 4))
     assert found.oversupply == pytest.approx(0.55 / 2)
+
+
+def test_a_part_that_fills_no_voxel_to_half_has_no_window() -> None:
+    with pytest.raises(EmptyMesh, match="filled to half"):
+        superpose(vial_colors(None), np.full((14, 14, 1), 0.3), "window")
 
 
 def test_bad_input() -> None:

@@ -106,7 +106,7 @@ def test_the_ramp_inverts_a_projection(fast_device: Device) -> None:
     state.expose(filtered, back)
     got = back.numpy()
     assert np.vdot(got, blob) / np.vdot(blob, blob) == pytest.approx(1.0, abs=0.02)
-    assert np.abs(got - blob).max() <= 0.04  # the transpose of Joseph's projector is no smooth back projector
+    assert np.abs(got - blob).max() <= 0.04
 
 
 def test_a_full_cap_is_the_ramp() -> None:

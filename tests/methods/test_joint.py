@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from widest import entries_of, widest
 
 import vamgpu
 from vamgpu.backend.device import Device
@@ -14,6 +15,7 @@ from vamgpu.chemistry.species import LightCycle, Rates, SpeciesState
 from vamgpu.errors import BadInput, Cancelled, DeviceError, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.inhibition import inhibition_step
+from vamgpu.methods.dual import Colors, superpose
 from vamgpu.methods.joint import (
     ColorPlan,
     KineticModel,
@@ -23,9 +25,10 @@ from vamgpu.methods.joint import (
     TwoColorResin,
     optimize_colors,
 )
-from vamgpu.methods.joint.models import PoseRuns
+from vamgpu.methods.joint.rule import ThroughKinetics
 from vamgpu.methods.joint.run import EffectiveContrast
 from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.pose_runs import PoseRuns
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 
@@ -318,3 +321,89 @@ def test_the_best_light_looked_at_is_returned() -> None:
         assert loss == pytest.approx(min(losses), rel=1e-9, abs=1e-12)
         assert plan.best_iteration == 1 + max(i for i, loss in enumerate(losses) if loss == min(losses))
         assert plan.visible.numpy().min() >= 0.0 and plan.ultraviolet.numpy().min() >= 0.0
+
+
+def rule(**other: float) -> ThroughKinetics:
+    return ThroughKinetics(**{"k_a": 1 / 30, "k_b": 0.2138 / 30, "k_c": 1 / 30, "k_2": 0.43, "supply": 5.0,
+                              "turns": 2, "period": 10.0, "runs": 4, "iterations": 4, **other})  # type: ignore[arg-type]  # fmt: skip
+
+
+def test_the_peak_counts_what_cures_before_inhibitors_come(device: Device) -> None:
+    """The peak is the greatest effective dose of turns that end after any run; its slope by differences."""
+    A, B = both((12, 12, 4), 12, device)
+    rng, resin = (
+        np.random.default_rng(4),
+        TwoColorResin(9.0, 4.0, 3.0, 0.5),
+    )
+    light = [rng.random(A.range.shape), rng.random(A.range.shape)]
+    light[1][:6] = 0.0  # ultraviolet light comes late
+    model = KineticModel(A, B, resin, 1, period=10.0, runs=6, peak=True)
+    last = KineticModel(A, B, resin, 1, period=10.0, runs=6)
+
+    def pair(values: list[np.ndarray], angles: int = 12) -> Pair:
+        shown = (np.arange(12) < angles)[:, None, None]
+        return Pair(*(device.upload(part * shown) for part in values))
+
+    peak = model.expose(pair(light)).numpy()
+    doses = [last.expose(pair(light, 2 * run)).numpy() for run in range(1, 7)]
+    np.testing.assert_allclose(peak, np.max(doses, axis=0), atol=2e-5)
+    assert (peak > doses[-1] + 0.1).any() and (peak < doses[-1] + 1e-6).any()
+    slope, way = rng.normal(size=A.domain.shape), [rng.normal(size=A.range.shape) for _ in range(2)]
+    model.expose(pair(light))
+    found = sum(np.vdot(g.numpy(), w) for g, w in zip(model.gradient(device.upload(slope)), way, strict=True))
+    small = 1e-6 if device.name == "numpy" else 2e-3
+    moved = [model.expose(pair([v + side * w for v, w in zip(light, way, strict=True)])).numpy().astype(float)
+             for side in (small, -small)]  # fmt: skip
+    assert found == pytest.approx(np.vdot(slope, moved[0] - moved[1]) / (2.0 * small), rel=2e-3)
+
+
+@pytest.mark.slow
+def test_the_window_of_the_kinetics_holds_by_the_exact_equations() -> None:
+    """Eqs 5-7 without the floor: the part cures with 25 % more exposure and without it, nothing else ever does."""
+    A, B = both((14, 14, 1), 24, vamgpu.devices()[0])
+    x, y, _ = np.meshgrid(*A.grid.axes(), indexing="ij")
+    part, near = (np.hypot(x, y) < 0.5) & (np.hypot(x, y) > 0.25), A.grid.cylinder()
+    plan = superpose(Colors(A, B), part.astype(float), rule(turns=3, runs=12, iterations=80))
+    dose, entries = plan.dose().numpy()[near], entries_of(A)
+    within = part[near]
+    window = (dose[within].min() - dose[~within].max()) / dose.max()
+    inside, outside = (part & near[:, :, None]).ravel(), (~part & near[:, :, None]).ravel()
+    assert window > 2.2 * widest(entries[inside], entries[outside])
+    seen, runs = np.zeros((2, 24, int(near.sum()))), (PoseRuns(A, 24), PoseRuns(B, 24))
+    fluence = A.beam.pixel_area / A.grid.voxel_volume / np.array([0.05, 0.1])
+    assert plan.uv is not None
+    for color, light in enumerate((plan.visible, plan.uv)):
+        for angle in range(24):
+            part_dose = A.device.empty(A.domain.shape)
+            runs[color].expose(angle, light, part_dose)
+            seen[color, angle] = part_dose.numpy()[near][:, 0] * fluence[color] * 2.4
+    for share in (1.0, 1.25):
+        cycle = LightCycle(share * seen[0].T, share * seen[1].T, np.full(24, 10.0 / 24.0))
+        start = SpeciesState(np.ones(near.sum()), np.zeros(near.sum()), np.full(near.sum(), 5.0))
+        end = advance(RATES, start, cycle, intervals=72, device="numpy")
+        assert np.array_equal(end.depleted[0], within[:, 0])
+
+
+def test_the_rule_of_the_kinetics_gives_the_peak_dose() -> None:
+    """The dose of the plan is that of the model, of at most 1.5, and errors of every pass are those of that dose."""
+    A, B = both((12, 12, 2), 12, vamgpu.devices()[0])
+    target, seen = part_of(A.grid), []
+    plan = superpose(Colors(A, B), target, rule(iterations=30), progress=seen.append)
+    assert plan.uv is not None and min(plan.visible.numpy().min(), plan.uv.numpy().min()) >= 0.0
+    dose = np.asarray(plan.dose().numpy(), np.float64)
+    assert np.array_equal(dose, rule().model(A, B).expose(Pair(plan.visible, plan.uv)).numpy())
+    assert 1.0 < dose[A.grid.cylinder()].max() < 1.6
+    most = np.where(target > 0.5, 1.5, 1.0)
+    dose = np.maximum(dose, 0.0)
+    errors = (np.sqrt(np.mean(np.maximum(field, 0.0) ** 2)) for field in (target - dose, dose - most))
+    last = plan.history[-1]
+    assert (last.undersupply, last.oversupply) == pytest.approx(tuple(errors), rel=1e-4, abs=1e-7)
+    assert len(seen) == len(plan.history) == last.number
+    every, finer = (rule(runs=None).model(A, B, finer) for finer in (False, True))  # type: ignore[arg-type]
+    assert (len(every.runs[0]), every.steps, len(finer.runs[0]), finer.steps) == (12, 1, 12, 4)
+    assert finer.resin.floor == pytest.approx(0.1 * every.resin.floor)
+    stopped = superpose(Colors(A, B), target, rule(), cancel=lambda: True)
+    assert len(stopped.history) == 1
+    for strong in (2.0, 0.5):
+        with pytest.raises(BadInput, match="strength .* leave it out"):
+            superpose(Colors(A, B, strength=strong), target, rule())

@@ -70,6 +70,7 @@ def test_a_projection_on_rings_is_asked_for_the_dose_of_voxels() -> None:
         vam.optimize(vam.SpectralProjection(other, A.beam, VIAL, A.device), target)
 
 
+@pytest.mark.slow
 def test_plans_are_kept_resumed_and_proven(tmp_path: Path) -> None:
     target, A = boat(vam.open_device(None), 0.4)
     R: Any = vam.RingProjection.of(A)

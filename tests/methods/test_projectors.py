@@ -61,7 +61,7 @@ def part(shape: tuple[int, ...]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "method", ["default", "osmo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("fbp", "bclp"))]
+    "method", ["default", *(pytest.param(name, marks=pytest.mark.slow) for name in ("osmo", "fbp", "bclp"))]
 )
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_projector_prints(kind: str, method: str) -> None:

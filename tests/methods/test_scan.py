@@ -13,11 +13,11 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import METHODS, optimize
 from vamgpu.methods.dual import Colors, LeastSquares, superpose
 from vamgpu.methods.joint import KineticModel, TwoColorResin
-from vamgpu.methods.joint.models import PoseRuns
 from vamgpu.methods.quadrature import balance, directions, is_complete
 from vamgpu.methods.ramp import capped_ramp, ramp
 from vamgpu.methods.rebin import rebin
 from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.pose_runs import PoseRuns
 from vamgpu.units import deg
 
 GRID, BEAM = vam.Grid((24, 24, 2), 0.1), vam.Beam((36, 2), 0.1)
@@ -164,7 +164,7 @@ def test_kinetics_and_exposure_plans_refuse_unequal_times() -> None:
         KineticModel(long, long, resin, period=10.0)
     assert KineticModel(long, long, replace(resin, pairing=0.0)).turns == 3, "doses alone do not ask for times"
     light = long.device.upload(np.ones(long.range.shape))
-    with pytest.raises(BadInput, match="the light of a turn got 60 .* expected angles that share a turn evenly"):
+    with pytest.raises(BadInput, match="the motion is 60 .* expected angles that divide a turn evenly"):
         TurnLight(long, light)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -23,9 +22,9 @@ def ring() -> np.ndarray:
     return ((r < 8.5) & (r > 4.5))[:, :, None].astype(np.float32)
 
 
-def projection(device: Device | str, footprint: Literal["exact", "joseph"] = "exact") -> vam.Projection:
+def projection(device: Device | str, motion: vam.Turntable = vam.Turntable(ANGLES)) -> vam.Projection:
     grid, beam = vam.Grid((N, N, 1), PITCH), vam.Beam((34, 1), PITCH)
-    return vam.Projection(grid, beam, vam.Turntable(ANGLES), None, device, footprint=footprint)
+    return vam.Projection(grid, beam, motion, None, device)
 
 
 @cache
@@ -64,6 +63,6 @@ def test_light_comes_to_have_two_levels_that_print(fast_device: Device, black: f
 
 
 def test_light_that_cannot_be_split_is_told() -> None:
-    A = projection("numpy", footprint="joseph")
+    A = projection("numpy", vam.Turntable(np.linspace(0.0, 5.0, ANGLES)))
     levels = TwoLevels(A, A.device.upload(ring()), A.device.upload(np.ones(A.range.shape, np.float32)))
     assert not levels.possible and not list(levels.seek(A.device.upload(np.ones(A.range.shape, np.float32))))

@@ -79,6 +79,15 @@ def test_slabs_with_a_halo_agree_with_the_whole() -> None:
         assert np.mean(part[:, :, start - low : start - low + 8] != whole[:, :, start : start + 8]) < 1e-3
 
 
+def test_blocks_of_slices_give_the_same_depths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The upper face lies in slice 28: depths of slice 32, the first of a block, need slices below it."""
+    fraction, _ = sampled(brick, 3)
+    whole = signed_depth(fraction, REACH + 0.5)
+    monkeypatch.setattr("vamgpu.metrics.depth.TOGETHER", 0)
+    monkeypatch.setattr("vamgpu.metrics.depth.FEWEST", 8)
+    assert np.array_equal(signed_depth(fraction, REACH + 0.5), whole)
+
+
 def test_both_sides_of_a_face_between_full_and_empty_are_a_surface() -> None:
     """Around a full voxel each of its neighbors knows the face; from the voxel alone the distance would be 1.49."""
     fraction = np.zeros((9, 9, 9))

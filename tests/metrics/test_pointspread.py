@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.metrics.contrast import contrast
 from vamgpu.metrics.pointspread import coverage, covered_share, point_dose, spread, steepest, wedge
-from vamgpu.metrics.segments import segment_windows
+from vamgpu.webs.proof import piece_windows
 
 RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 
@@ -73,30 +73,23 @@ def test_contrast_on_devices_counts_every_voxel(device: Device) -> None:
     assert contrast(f, t, np.sqrt) == pytest.approx(contrast(dose, target, np.sqrt), rel=1e-6)
 
 
-def test_windows_of_segments() -> None:
+def test_windows_of_pieces() -> None:
     random = np.random.default_rng(2)
-    target = (random.random((50, 6, 4)) > 0.6).astype(np.float32)
-    dose = random.random(target.shape) + 0.7 * target
-    found = segment_windows(dose, target, 20)
-    assert found.start.tolist() == [0, 20, 40] and found.stop.tolist() == [20, 40, 50] and found.peak == dose.max()
-    for k, (a, b) in enumerate(zip(found.start, found.stop, strict=True)):
-        inside, outside = dose[a:b][target[a:b] == 1], dose[a:b][target[a:b] == 0]
-        assert found.strict[k] == pytest.approx((inside.min() - outside.max()) / dose.max())
+    part = random.random((50, 6, 4)) > 0.6
+    dose = random.random(part.shape) + 0.7 * part
+    for some in (slice(0, 20), slice(20, 50), slice(0, 50)):
+        inside, outside = dose[some][part[some]], dose[some][~part[some]]
         low, high = np.quantile(inside, 0.01, method="lower"), np.quantile(outside, 0.99, method="higher")
-        assert found.trimmed[k] == pytest.approx((low - high) / dose.max())
-        assert (found.in_voxels[k], found.out_voxels[k]) == (inside.size, outside.size)
-    whole = segment_windows(dose, target, 50)
-    assert found.window == pytest.approx(whole.strict[0]) and found.window <= found.strict.min() + 1e-12
-    tiles = [segment_windows(dose[a : a + 10], target[a : a + 10], 10, peak=found.peak) for a in range(0, 50, 10)]
-    assert np.concatenate([t.strict for t in tiles]) == pytest.approx(segment_windows(dose, target, 10).strict)
+        expected = (inside.min() - outside.max()) / dose[some].max(), (low - high) / dose[some].max()
+        assert piece_windows(dose[some], part[some]) == pytest.approx(expected)
 
 
-def test_a_segment_without_part_has_no_window() -> None:
-    target = np.zeros((20, 3, 2))
-    target[:10, 1] = 1.0
-    found = segment_windows(np.where(target > 0, 1.0, 0.2), target, 10)
-    assert found.strict[0] == pytest.approx(0.8) and np.isnan(found.strict[1]) and found.window == pytest.approx(0.8)
-    assert np.isnan(segment_windows(np.ones((4, 2, 2)), np.zeros((4, 2, 2)), 2).window)
+def test_a_piece_without_part_or_void() -> None:
+    part = np.zeros((10, 3, 2), bool)
+    assert piece_windows(np.ones(part.shape), part) == (0.0, 0.0)
+    assert piece_windows(np.where(part, 1.0, 0.2), ~part) == pytest.approx((1.0, 1.0))
+    part[:, 1] = True
+    assert piece_windows(np.where(part, 1.0, 0.2), part) == pytest.approx((0.8, 0.8))
 
 
 @pytest.mark.parametrize(
@@ -108,9 +101,7 @@ def test_a_segment_without_part_has_no_window() -> None:
         (lambda: contrast(np.zeros(3), np.ones(3)), BadInput, "sums to 0"),
         (lambda: contrast(-np.ones(3), np.ones(3)), BadInput, "-1"),
         (lambda: contrast(np.ones(3), np.ones(3), lambda f: f.sum()), ShapeMismatch, "()"),
-        (lambda: segment_windows(np.ones((4, 4)), np.ones((4, 4)), 2), ShapeMismatch, "(4, 4)"),
-        (lambda: segment_windows(np.full((2, 2, 2), np.nan), np.ones((2, 2, 2)), 2), BadInput, "8 doses"),
-        (lambda: segment_windows(np.ones((2, 2, 2)), np.ones((2, 2, 2)), 0), BadInput, "0"),
+        (lambda: piece_windows(np.full((2, 2, 2), np.nan), np.ones((2, 2, 2), bool)), BadInput, "8 doses"),
     ],
 )  # fmt: skip
 def test_bad_input_is_named(make: Any, kind: type[Exception], words: str) -> None:

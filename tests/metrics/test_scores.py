@@ -71,6 +71,19 @@ def test_a_dose_with_a_window_prints_perfectly(device: Device) -> None:
     assert got.threshold == pytest.approx(0.65, abs=1e-6)
 
 
+def test_no_threshold_prints_what_gets_no_light(device: Device) -> None:
+    """A part of which a third lies in the dark, beside a void that is as bright as the rest: all of it is best."""
+    target = np.zeros((20, 20, 9), np.float32)
+    target[4:16, 4:16] = 1.0
+    dose = np.ones(target.shape, np.float32)
+    dose[..., :3] = 0.0
+    got = score(device.upload(dose), device.upload(target))
+    assert 0.0 < got.threshold <= 1.0 and got.missing == 12 * 12 * 3
+    dose[target < 0.5] = 0.0  # a void without light
+    got = score(device.upload(dose), device.upload(target))
+    assert 0.0 < got.threshold <= 1.0 and (got.missing, got.excess) == (12 * 12 * 3, 0)
+
+
 def test_a_given_threshold_is_kept(device: Device) -> None:
     dose, target = plain.example((20, 20, 9), 4, 0.3)
     out, into = plain.split(dose, target)

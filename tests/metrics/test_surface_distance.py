@@ -204,7 +204,7 @@ def test_deviations_of_a_print_are_summed_up() -> None:
     [
         (lambda: Nearest(Solid(box().vertices, box().faces[:6])), NotWatertight, "open edges"),
         (lambda: Nearest(box())(np.zeros((4, 2))), BadInput, "(4, 2)"),
-        (lambda: Nearest(box())([[0.0, np.nan, 0.0]]), BadInput, "1 points"),
+        (lambda: Nearest(box())([[0.0, np.nan, 0.0]]), BadInput, "1 numbers"),
         (lambda: align(np.zeros((2, 3)), Nearest(box())), BadInput, "got 2 points"),
         (lambda: align(drawn(box(), 50) + 0.3, Nearest(box()), steps=3), BadInput, "3 steps"),
         (lambda: align(drawn(box(), 50), Nearest(box()), keep=0.0), BadInput, "0.0"),

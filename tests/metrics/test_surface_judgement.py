@@ -10,6 +10,7 @@ import pytest
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 from vamgpu.geometry import Grid
 from vamgpu.metrics.nearest_points import Nearest
+from vamgpu.metrics.runs import runs_of
 from vamgpu.metrics.surface_judgement import SurfaceJudgement, judge_surface
 from vamgpu.targets.implicit import voxelize as sampled
 from vamgpu.targets.lattices import CubicLattice
@@ -111,6 +112,7 @@ def test_a_missing_fin_is_as_far_away_as_it_is_long_and_was_not_judged() -> None
     assert "could not be judged" in found.unjudged.reason() and "40 µm" in found.unjudged.reason()
 
 
+@pytest.mark.slow
 def test_two_balls_printed_as_one_are_one_merged() -> None:
     at = points()
     balls = np.minimum(ball_distance(1.0, at, (-1.2, 0, 0)), ball_distance(1.0, at, (1.2, 0, 0)))
@@ -123,6 +125,7 @@ def test_two_balls_printed_as_one_are_one_merged() -> None:
     assert cut.changes.bodies_broken == 2 and cut.changes.bodies_extra == 0
 
 
+@pytest.mark.slow
 def test_bodies_are_those_of_the_mesh_however_voxels_break_them() -> None:
     """Two balls on a wire that no voxel sees are one body; a ball in a hollow one is a body of its own."""
     import trimesh
@@ -141,6 +144,55 @@ def test_bodies_are_those_of_the_mesh_however_voxels_break_them() -> None:
     assert judged(shell, nested).changes.bodies_lost == 1
 
 
+def test_holes_that_voxels_leave_in_a_thin_wall_are_not_the_parts() -> None:
+    """A cup whose wall is a voxel thick has none; voxels pierce it, in the part as in its print."""
+    import trimesh
+
+    turn = np.linspace(0.0, 0.5 * np.pi, 40)
+    rim, inner = (radius * np.stack([np.sin(turn), -np.cos(turn)], axis=1) for radius in (0.8, 0.7))
+    mesh = trimesh.creation.revolve(np.concatenate([rim, inner[::-1]]), sections=96)
+    mesh.merge_vertices()
+    cup, axes = (
+        Solid(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)),
+        [*2 * [np.arange(20)], np.arange(12)],
+    )
+    x, y, z = np.meshgrid(
+        *(0.1 * each + low for each, low in zip(axes, (-0.99, -0.99, -0.94), strict=True)), indexing="ij"
+    )
+    out = np.sqrt(x**2 + y**2 + z**2)
+
+    def changes(wall: np.ndarray) -> Any:
+        dose = np.where(wall & (z <= 0.0), 2.0, 0.0)
+        return judge_surface(
+            dose, (-0.99, -0.99, -0.94), 0.1, 1.0, dose, Grid((20, 20, 12), 0.1), cup, samples=100
+        ).changes
+
+    whole, thin = changes((out <= 0.85) & (out >= 0.6)), changes((out <= 0.8) & (out >= 0.7))
+    assert (whole.bodies, whole.holes, whole.holes_closed, whole.holes_opened) == (1, 0, 0, 0)
+    assert (thin.holes, thin.holes_closed, thin.holes_opened) == (0, 0, 0)
+
+
+def test_thresholds_are_searched_only_if_all_bodies_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = list[float]()
+
+    def counted(values: np.ndarray, level: float) -> Any:
+        seen.append(level)
+        return runs_of(values, level)
+
+    monkeypatch.setattr("vamgpu.metrics.steadiness.runs_of", counted)
+    right = judged(ball_distance(2.0, points()), solid_of(ball(2.0)))
+    assert seen and right.changes.none and right.thresholds and right.thresholds[0] < 1.0 < right.thresholds[1]
+    seen.clear()
+    near = judged(ball_distance(2.0, points()), solid_of(ball(2.0)), between=(0.9, 1.1))
+    assert seen == [0.9, 1.1] and near.thresholds == (0.9, 1.1), "one threshold each"
+    seen.clear()
+    two = solid_of(ball(0.8, (-1.5, 0.0, 0.0)), ball(0.8, (1.5, 0.0, 0.0)))
+    wrong = judged(ball_distance(0.8, points(), (-1.5, 0.0, 0.0)), two)
+    assert wrong.changes.bodies_lost == 1 and not seen and wrong.thresholds is None
+    nothing = judged(np.full(points()[0].shape, 0.9), two)
+    assert np.isnan(nothing.mean) and not seen and nothing.thresholds is None
+
+
 def plate() -> tuple[Solid, np.ndarray, np.ndarray]:
     """A plate with a round hole, and the distances of the plate and of the hole's wall."""
     import trimesh
@@ -151,6 +203,7 @@ def plate() -> tuple[Solid, np.ndarray, np.ndarray]:
     return solid_of(mesh), box_distance((-2, -2, -0.5), (2, 2, 0.5), at), np.hypot(at[0], at[1]) - 0.5
 
 
+@pytest.mark.slow
 def test_a_ring_that_voxels_break_has_its_hole() -> None:
     import trimesh
 

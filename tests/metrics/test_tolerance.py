@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from threading import current_thread
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import vamgpu as vam
 from vamgpu import Grid
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
+from vamgpu.kernels.update import linear
 from vamgpu.metrics.tolerance import Depth, ToleranceWindow, depth_of_fractions, depth_of_target, tolerance_window
 
 GRID = Grid((28, 26, 24), 0.1)
@@ -40,8 +41,8 @@ def ball(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def later(depth: Callable[..., np.ndarray]) -> Depth:
-    """Found when it is called again."""
-    return lambda *axes: lambda: depth(*axes)
+    """As a field that keeps every digit."""
+    return lambda *axes: vam.open_device("numpy").upload(depth(*axes))
 
 
 def slabs(dose: np.ndarray, thick: int = 11) -> Iterator[FineSlab]:
@@ -74,11 +75,13 @@ def test_the_thickness_of_slabs_does_not_matter() -> None:
 
 
 def test_the_curve_is_the_definition() -> None:
-    """Against every voxel counted at once, with a dose that is noise."""
+    """Against every voxel counted at once, with a dose that is noise, and greater at the rim of what counts."""
     dose, depth = np.random.default_rng(1).random((56, 52, 48)), ball(*positions())
-    found = tolerance_window(slabs(dose), later(ball), GRID.pitch, radius=1.1)
     x, y, _ = positions()
     disc = np.broadcast_to((x[:, None] ** 2 + y[None, :] ** 2 <= 1.1**2)[:, :, None], dose.shape)
+    last = np.flatnonzero(disc[26, :, 0])[-1]
+    dose[26, last : last + 2, 5] = 2.0, 3.0
+    found = tolerance_window(slabs(dose), later(ball), GRID.pitch, radius=1.1)
     for distance, window in zip(found.distance[::7], found.window[::7], strict=True):
         inside, outside = disc & (depth >= max(distance, 0)), disc & (depth < 0) & (-depth >= distance)
         wanted = (dose[inside].min() - dose[outside].max(initial=0.0)) / dose[disc].max()
@@ -91,21 +94,21 @@ def test_depths_of_coarse_fractions_serve_a_fine_dose() -> None:
     depth, axes = depth_of_fractions(np.mean(filled, axis=0), GRID), positions()
     true = ball(*axes)
     near = np.abs(true) < 0.18
-    assert np.sqrt(np.mean((depth(*axes)() - true)[near] ** 2)) < 0.06 * GRID.pitch
+    assert np.sqrt(np.mean((depth(*axes).numpy() - true)[near] ** 2)) < 0.06 * GRID.pitch
     dose = soft(true)
     exact, found = (tolerance_window(slabs(dose), d, GRID.pitch) for d in (later(ball), depth))
     assert found.at(0.05) == pytest.approx(exact.at(0.05), abs=0.06)
 
 
 def test_depths_of_a_part_that_is_sampled_again() -> None:
-    def resampled(grid: Grid, shift: tuple[float, float, float] = (0, 0, 0)) -> SimpleNamespace:
+    def resampled(grid: Grid, shift: tuple[float, float, float], device: Device | None) -> DeviceArray:
         axes = [axis + move for axis, move in zip(grid.axes(), shift, strict=True)]
-        return SimpleNamespace(numpy=lambda: np.clip(ball(*axes) / grid.pitch + 0.5, 0, 1))
+        return vam.open_device(device).upload(np.clip(ball(*axes) / grid.pitch + 0.5, 0, 1))
 
     depth = depth_of_target(SimpleNamespace(resampled=resampled), FINE, GRID.pitch)  # type: ignore[arg-type]
     x, y, z = positions()
     for part in (slice(0, 9), slice(20, 31), slice(47, 48)):
-        true, found = ball(x, y, z[part]), depth(x, y, z[part])()
+        true, found = ball(x, y, z[part]), depth(x, y, z[part]).numpy()
         assert found.shape == true.shape
         assert np.abs(found - true)[np.abs(true) < 0.19].max(initial=0.0) < 0.4 * FINE
 
@@ -113,15 +116,16 @@ def test_depths_of_a_part_that_is_sampled_again() -> None:
 def test_a_flat_part_ends_beside_but_neither_above_nor_below() -> None:
     depth = depth_of_fractions(np.ones((6, 6, 1)), grid := Grid((6, 6, 1), 0.1), flat=True)
     x, y, _ = grid.axes()
-    found = depth(x, y, np.array([-0.05, 0.0, 0.05]))()
+    found = depth(x, y, np.array([-0.05, 0.0, 0.05])).numpy()
     assert found[2, 2] == pytest.approx([0.25] * 3, abs=1e-3) and found[0, 2] == pytest.approx([0.05] * 3, abs=1e-3)
-    assert depth_of_fractions(np.ones((6, 6, 1)), grid)(x, y, np.zeros(1))()[2, 2] == pytest.approx(0.05, abs=1e-3)
+    found = depth_of_fractions(np.ones((6, 6, 1)), grid)(x, y, np.zeros(1)).numpy()
+    assert found[2, 2] == pytest.approx(0.05, abs=1e-3)
 
 
 def test_what_lies_beyond_the_own_grid_is_outside() -> None:
     depth = depth_of_fractions(np.ones((4, 4, 4)), Grid((4, 4, 4), 0.1))
     at = np.array([-0.4, -0.25, 0.0, 0.25, 0.4])
-    found = depth(at, np.zeros(1), np.zeros(1))().ravel()
+    found = depth(at, np.zeros(1), np.zeros(1)).numpy().ravel()
     assert found == pytest.approx([-0.2, -0.05, 0.15, -0.05, -0.2], abs=0.02)  # as deep as the deepest centers
 
 
@@ -132,7 +136,7 @@ def test_a_part_thinner_than_the_tolerance_has_no_window_there() -> None:
     x, y, z = positions()
     found = tolerance_window(slabs(dose := 1.0 + sheet(x, y, z)), later(sheet), GRID.pitch)
     assert found.at(0.0) > 0 and np.isnan(found.at(0.05)) and found.judged_at(0.05) == 0
-    assert found.limits(0.1) == (dose.max(), dose[sheet(x, y, z) <= -0.1].max()), "its deepest voxels are asked"
+    assert found.limits(0.1) == (np.inf, dose[sheet(x, y, z) <= -0.1].max())
 
 
 def test_the_peak_is_the_greatest_dose_of_all() -> None:
@@ -161,25 +165,15 @@ def test_wrong_input_is_refused() -> None:
     assert isinstance(found, ToleranceWindow)
 
 
-def test_kernels_are_launched_by_one_thread_and_depths_found_by_several(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vamgpu.backend.cores.threads", lambda: 4)
-    monkeypatch.setattr("vamgpu.metrics.tolerance.SLICES", (4, 4))
-    target, seen = vam.Target.from_array(np.pad(np.ones((20, 20, 16)), 4), 0.1), set[str]()
-
-    def resampled(*given: Any) -> Any:
-        seen.add(current_thread().name)
-        return target.resampled(*given)
-
-    depth = depth_of_target(SimpleNamespace(resampled=resampled), FINE, GRID.pitch)  # type: ignore[arg-type]
-
-    def noted(*axes: np.ndarray) -> Callable[[], np.ndarray]:
-        found = depth(*axes)
-
-        def noting() -> np.ndarray:
-            seen.add(current_thread().name[:6])
-            return found()
-
-        return noting
-
-    found = tolerance_window(slabs(soft(ball(*positions())), 48), noted, GRID.pitch)
-    assert seen == {current_thread().name, "vamgpu"} and np.isfinite(found.peak)
+def test_a_dose_on_a_device_is_judged_there(fast_device: Device) -> None:
+    dose, depth = soft(ball(*positions())).astype(np.float32), ball(*positions()).astype(np.float32)
+    whole = FineSlab(fast_device.upload(dose), *positions())  # type: ignore[arg-type]
+    found = tolerance_window([whole], lambda *_: fast_device.upload(depth), GRID.pitch, radius=1.0)
+    wanted = tolerance_window(slabs(dose), later(lambda *axes: depth[:, :, np.isin(positions()[2], axes[2])]),
+                              GRID.pitch, radius=1.0)  # fmt: skip
+    assert found.window == pytest.approx(wanted.window, abs=1e-6) and found.peak == wanted.peak
+    assert found.judged == pytest.approx(wanted.judged, abs=1e-4)
+    bad = fast_device.empty(dose.shape)
+    fast_device.launch(linear, a=3e38, x=whole.dose, b=3e38, y=whole.dose, floor=-3e38, out=bad)
+    with pytest.raises(BadInput, match="holds NaN"):
+        tolerance_window([replace(whole, dose=bad)], lambda *_: fast_device.upload(depth), GRID.pitch)

@@ -281,7 +281,7 @@ def test_a_rod_casts_its_shadow_downstream() -> None:
     lambda *a: Defocused(vam.Projection(*a, device=FAST), Defocus(0.2, 0.8)),
     lambda *a: Tiles(vam.Projection(*a, device=FAST), rows=9, overlap=2),
 ])  # fmt: skip
-@pytest.mark.parametrize("method", ["default", "lbfgs", "osmo"])
+@pytest.mark.parametrize("method", ["default", "osmo", pytest.param("lbfgs", marks=pytest.mark.slow)])
 def test_optimizers_and_packers_take_them(build: Any, method: str) -> None:
     grid = vam.Grid((20, 20, 16), PITCH)
     A = build(grid, vam.Beam((24, 16), PITCH), vam.Turntable(24, lit_share=0))

@@ -173,7 +173,9 @@ MACHINES = {
 FEW = ("a clear roller of the resin's index",)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.slow] * (number not in (1, 2, 5, 7))) for number, name in enumerate(MACHINES)
+])  # fmt: skip
 def test_every_column_leaves_what_photons_leave(name: str) -> None:
     """Over depth within five standard deviations of the counts, and voxel by voxel as far apart as counts are."""
     roller, rng = MACHINES[name], np.random.default_rng(7)

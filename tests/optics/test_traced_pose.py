@@ -7,12 +7,13 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput
+from vamgpu.geometry import resin_radius
 from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.index_field import FunctionField, Region
 from vamgpu.optics.occluder import Occluded
 from vamgpu.optics.traced_pose import trace_pose
-from vamgpu.optics.traced_rays import resin_radius, trace_vial, traced_rays
+from vamgpu.optics.traced_rays import trace_vial, traced_rays
 
 VIAL = vam.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
 DOUBLE = vam.DoubleWalledVial(

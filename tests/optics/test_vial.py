@@ -274,7 +274,7 @@ def test_wrong_values_are_named(change: dict[str, Any], number: str) -> None:
 
 
 def test_positions_that_are_not_finite_are_refused() -> None:
-    with pytest.raises(BadInput, match="1 values"):
+    with pytest.raises(BadInput, match="1 numbers"):
         PAPER.chords([0.0, math.nan])
     with pytest.raises(BadInput, match="along"):
         PAPER.illuminate([0.0], [math.inf])

@@ -45,8 +45,8 @@ WATER = vam.Vial(radius=9.0, wall=0.6, resin_index=1.48, wall_index=1.52, bath_i
 VAT = vam.Vat(width=16.0, absorption=0.15, resin_index=1.49, wall_index=1.52, bath_index=1.0)
 ROUND = vam.Vat(width=16.0, radius=7.0, absorption=0.15)
 
-# Vessel, columns and rows, their pitch [mm], relative L2 error allowed forward and back. The transpose of Joseph
-# ripples from pose to pose; voxels of a grid that lies askew to fine columns do so forward; coarse columns blur.
+# Vessel, columns and rows, their pitch [mm], relative L2 error allowed forward and back. Voxels of a grid that lies
+# askew to fine columns ripple forward; coarse columns blur.
 CASES = {
     "straight": (None, (N, SLICES), PITCH, 2e-3, 1.2e-2),
     "straight, wider and lower": (None, (N + 11, SLICES - 1), PITCH, 5e-3, 1e-2),

@@ -163,7 +163,7 @@ def test_photons_start_on_refracted_rays() -> None:
     """Points along the rays are lit by the columns from which these come; all light of a pixel has a ray."""
     vial = vam.Vial(radius=5.0, wall=0.5, resin_index=1.5, wall_index=1.473, absorption=0.06)
     grid, beam = vam.PolarGrid(8, 2, 0.5, 12), vam.Beam((20, 2), 0.3, fill=0.8)
-    rays = PhotonCount(grid, beam, vial, vam.Scattering(0.5), 1)._rays()
+    rays = PhotonCount(grid, beam, vial, vam.Scattering(0.5), 1)._rays
     x, y, ux, uy, uz, share, weight, _ = np.moveaxis(rays, -1, 0)
     assert np.hypot(x, y) == pytest.approx(np.full(x.shape, vial.inner_radius))
     assert not uz.any() and np.hypot(ux, uy) == pytest.approx(np.ones(x.shape))
@@ -222,7 +222,9 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     vial = vam.Vial(radius=RADIUS, wall=0.5, resin_index=1.5, wall_index=1.473)
     bath = vam.SquareBath(width=30.0, wall=3.0, wall_index=1.47, vessel=vial)
     measured = vam.Turntable(np.linspace(0.0, 3.0, 60))
-    for other, why in (((A.motion, bath), "round vial"), ((measured, A.vessel), "even over a full turn")):
+    for other, why in (((A.motion, bath), "rings: got a SquareBath; expected a round vial"),
+                       ((A.motion, None), "rings: got no vessel; expected a round vial"),
+                       ((measured, A.vessel), "even over a full turn")):  # fmt: skip
         with pytest.raises(BadInput, match=why):
             vam.ScatteringRings(vam.Projection(A.grid, A.beam, *other), resin)
     with pytest.raises(BadInput, match="rays are not scattered"):
@@ -232,10 +234,13 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     asked = int(str(told.value).rpartition("photons=")[2])
     assert vam.ScatteringRings(A, resin, photons=asked, tolerance=0.02).terms, "what the message asks for is enough"
     known: dict[str, Any] = {"coefficient": 1.0}
-    wrong: list[dict[str, Any]] = [{"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))}]
+    wrong: list[dict[str, Any]] = [{"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))},
+                                    {"phase": ((0.0, 1.0), (1.5, -0.5), (np.pi, 0.1))}]  # fmt: skip
     for each in wrong:
         with pytest.raises(BadInput, match="Scattering"):
             vam.Scattering(**known | each)
+    with pytest.raises(BadInput, match="tolerance is 2; expected below 1"):
+        vam.ScatteringRings(A, resin, tolerance=2.0)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**31 - 1, 10**12])

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from inspect import signature
-
 import numpy as np
 import pytest
 from raytracer import ray_to, trace
 
 import vamgpu as vam
-
-pytestmark = pytest.mark.skipif(
-    "footprint" not in signature(vam.Projection.__init__).parameters, reason="Projection has one ray a pixel"
-)
 
 VIAL = vam.Vial(12.4, 1.0, 1.49962, 1.473, 1.0, 0.05)
 PITCH, VOXEL = 0.067, 0.09

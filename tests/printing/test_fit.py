@@ -13,6 +13,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, NoLight, OutOfMemory, PackWarning
+from vamgpu.kernels.flip import flip_pixels
 from vamgpu.printing import fit
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.gray import GrayCurve
@@ -122,6 +123,16 @@ def test_dark_light_is_told(plan: vam.Plan, scale: float | None) -> None:
         vam.pack(plan, bits=1, dither="fit", scale=scale, shift=(100.0, 0.0))
 
 
+def test_a_pixel_is_flipped_by_the_price_of_its_own_way(fast_device: Device) -> None:
+    """Lit, lit, dark, dark; the error falls without the first and with the fourth."""
+    given = {"brighter": [1, -1, 1, -1], "darker": [-1, 1, -1, 1], "step": [2] * 4, "light": [2, 2, 0, 0]}
+    fields = {name: fast_device.upload(np.array(values, np.float32)[:, None, None]) for name, values in given.items()}
+    change = fast_device.empty((4, 1, 1))
+    fast_device.launch(flip_pixels, **fields, change=change)
+    assert change.numpy().ravel().tolist() == [-2, 0, 0, 2]
+    assert fields["light"].numpy().ravel().tolist() == [0, 2, 0, 2]
+
+
 @pytest.mark.slow
 def test_devices_agree(fast_device: Device) -> None:
     reference = plan_on(vam.open_device("numpy"), angles=16)
@@ -162,6 +173,7 @@ def test_a_job_folder_keeps_the_bits(bits: vam.Frames, tmp_path: Path) -> None:
     assert np.array_equal(kept.levels(), bits.levels()) and kept.settings.dither == "fit"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the light does not print at every corner")
 def test_corners_are_those_of_the_bits() -> None:
     """Bits are chosen by the dose where nothing is off; what is claimed of all corners is what they leave there."""
@@ -251,7 +263,7 @@ def test_a_quantile_says_how_bright_a_pixel_of_1_bit_is(plan: vam.Plan) -> None:
 
 def test_rounding_stays_where_it_is_as_good(plan: vam.Plan) -> None:
     """Light of two levels is rounded without loss, and what no inverse makes up for is flipped alone."""
-    A = vam.Projection(vam.Grid((N, N, 2), PITCH), vam.Beam((48, 2), PITCH), vam.Turntable(60), footprint="joseph")
+    A = vam.Projection(vam.Grid((N, N, 2), PITCH), vam.Beam((48, 2), PITCH), vam.Turntable(np.linspace(0.0, 5.0, 60)))
     bits = (plan.sinogram.numpy() > 0.3 * plan.sinogram.numpy().max()).astype(np.float32)
     two = replace(plan, operator=A, sinogram=A.device.upload(bits))
     with pytest.warns(PackWarning, match="the frames are rounded"):

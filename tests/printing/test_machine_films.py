@@ -15,6 +15,7 @@ from PIL import Image
 import vamgpu as vam
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, StorageError
+from vamgpu.jobs.foreign.importing import found_in
 from vamgpu.jobs.foreign.pictures import Layout, read_pictures
 from vamgpu.printing.export import Canvas, export
 from vamgpu.printing.folder import save_frames
@@ -121,10 +122,42 @@ def test_tvam_code_s_own_loop_shows_the_light(tmp_path: Path) -> None:
     drawn = images[:, 377 : 377 + 13, 501 : 501 + 21]
     assert np.abs(drawn - 255 * light.transpose(0, 2, 1) / light.max()).max() <= 0.51
     assert images.sum() == drawn.sum()
+    back = read_pictures(made, Layout()).light[:, :13, 1:]  # odd frames lie half a pixel off the middle
+    assert np.abs(back / back.max() - frames.irradiance().numpy() / light.max()).max() < 0.003
+    np.savez(tmp_path / "other.npz", images=images)
+    with pytest.raises(BadInput, match=r"holds images; expected an array patterns \[angle, row, column\]"):
+        read_pictures(tmp_path / "other.npz", Layout())
     said = card.read_text()
     assert f"python tvam_code.py -p {made.name} -v 60 -n 4" in said and "dark        none in the files" in said
     with pytest.raises(BadInput, match=r"turns at 20 rpm at most: use 20 rpm or less"):
         export_for("tvam-code", frames, tmp_path, "b", rpm=21)
+
+
+def test_tvam_code_reads_a_folder_of_images_alone_and_so_do_we(tmp_path: Path) -> None:
+    frames = plain_frames(gray=GrayCurve.gamma(2.2, black=0.0))
+    made, card = export_for("tvam-code-images", frames, tmp_path, "part", rpm=10.0)
+    single, _ = export_for("tvam-code", frames, tmp_path, "other", rpm=10.0)
+    assert f"python tvam_code.py -p {made.name} -v 60 -n 1" in card.read_text() and card.parent == tmp_path
+    # as the program reads a folder: every file in it, in the order of names, as gray levels
+    images = np.stack([np.asarray(Image.open(file).convert("L")) for file in sorted(made.iterdir())])
+    with np.load(single) as held:
+        assert images.shape == (12, 768, 1024) and np.array_equal(images, held["patterns"])
+    asked = Layout(tvam_code=True)
+    whole = read_pictures(single, asked)
+    for number, image in enumerate(images):  # dimmer: the program makes the brightest pixel full on
+        Image.fromarray(image // 2).save(made / f"{number:04d}.png")
+    back = read_pictures(made, asked)
+    assert whole.notes == back.notes == () and back.full is None and back.light.shape == whole.light.shape
+    assert np.abs(back.light / back.light.max() - whole.light).max() < 0.005
+    for number, image in enumerate(images):  # 1024 × 768 images are turned by the program
+        Image.fromarray(image.T.copy()).save(made / f"{number:04d}.png")
+    assert np.array_equal(read_pictures(made, asked).light, whole.light)
+    for file in made.iterdir():
+        Image.fromarray(np.full((700, 1024), 9, np.uint8)).save(file)
+    with pytest.raises(BadInput, match="expected 768 × 1024 or 1024 × 768"):
+        read_pictures(made, asked)
+    with pytest.raises(BadInput, match="--for is for images, but 'config.json' is a file of another program"):
+        found_in(Path("config.json"), layout=asked)
 
 
 @pytest.mark.parametrize("black", [0.0, 0.2])
@@ -133,7 +166,7 @@ def test_tvam_code_s_card_says_how_much_brighter_its_levels_are(black: float, tm
     levels[3, 10, 5] = 153
     frames = Frames.from_bytes(levels, "numpy", bits=8, gray=GrayCurve.linear(black), scale=1.0, columns=13)
     made, card = export_for("tvam-code", frames, tmp_path, "part", rpm=10.0)
-    found = re.search(r"brightest pixel, (\S+) of full light, is made 255: (\S+) times", card.read_text())
+    found = re.search(r"brightest pixel, which has (\S+) of full light: (\S+) times", card.read_text())
     assert found is not None
     share, factor = float(found[1]), float(found[2])
     with np.load(made) as held:
@@ -234,7 +267,7 @@ def test_a_rotary_film_keeps_to_the_projector_s_rate(tmp_path: Path) -> None:
         ("opencal", {"rpm": 0}, "rpm"),
         ("opencal", {"dark": (-1.0, 0.0)}, "seconds of dark"),
         ("opencal", {"dark": (5.0, 0.0)}, r"dark is \(5.0, 0.0\); expected seconds above 0 after the last turn"),
-        ("rotary", {"dark": (0.0, 0.0)}, "a film that ends lit goes on curing"),
+        ("rotary", {"dark": (0.0, 0.0)}, "a film that ends lit continues to cure"),
         ("tvam-code", {"dark": (5.0, 10.0)}, "expected none: the files for tvam-code hold one turn"),
         ("lightcrafter", {"dark": (0.0, 1.0)}, "expected none: the files for lightcrafter hold one turn"),
         ("opencal", {"channel": "violet"}, "expected one of red, green, blue"),

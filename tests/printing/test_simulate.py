@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 import pytest
@@ -99,6 +100,8 @@ def test_irradiance_and_dose_are_told_as_laboratories_write_them() -> None:
     assert meaning == "until resin at the threshold is solid, at 65 mW/cm² full-on and 100 mJ/cm³"
     with pytest.raises(BadInput, match=r"irradiance is -65 \* mW_cm2; expected .* > 0 times vamgpu\.units\.mW_cm2"):
         simulate(A, frames, target, irradiance=-65 * mW_cm2, critical_dose=100 * mJ_cm3)
+    dark = replace(proof, exposure=replace(proof.exposure, overcure_onset=inf))
+    assert next(line.value for line in dark.lines() if line.name == "first excess") == "never"
     said = simulate(A, frames, target, irradiance="65 mW/cm2", critical_dose="0.1 mJ/mm³")
     assert said.exposure == proof.exposure
     with pytest.warns(
@@ -107,7 +110,7 @@ def test_irradiance_and_dose_are_told_as_laboratories_write_them() -> None:
         simulate(A, frames, target, irradiance=65, critical_dose=0.1)
     with pytest.warns(OpticsWarning, match=r"dose is 100 .*100000 mJ/cm3; if .* write 100 \* vamgpu\.units\.mJ_cm3"):
         simulate(A, frames, target, irradiance=0.65, critical_dose=100)
-    with pytest.raises(BadInput, match=r"critical_dose: got '100'; no unit; expected a dose in mJ/cm3"):
+    with pytest.raises(BadInput, match=r"critical_dose: got '100'; expected a dose in mJ/cm3"):
         simulate(A, frames, target, irradiance=65 * mW_cm2, critical_dose="100")
 
 
@@ -170,14 +173,14 @@ def test_straight_light_needs_to_be_told_how_much_is_absorbed() -> None:
 
 
 def test_wrong_input_is_refused() -> None:
-    A = Projection(GRID, BEAM, TURN, VIAL, "numpy")
+    A = Projection(GRID, BEAM, TURN, VIAL, "cpu")
     frames, target = shown(A), ball(GRID.shape)
     with pytest.raises(BadInput, match="irradiance without critical_dose"):
         simulate(A, frames, target, irradiance=6)
     with pytest.raises(BadInput, match="leave it out"):
-        simulate(A, frames, target, irradiance=6, critical_dose=2, absorption=0.1)
+        simulate(A, frames, target, irradiance=6, critical_dose=2, absorption=0.1, coarse=True)
     with pytest.raises(BadInput, match="critical_dose"):
-        simulate(A, frames, target, irradiance=6, critical_dose=-1)
+        simulate(A, frames, target, irradiance=6, critical_dose=-1, coarse=True)
     with pytest.raises(BadInput, match="threshold is nan"):
         simulate(A, frames, target, threshold=float("nan"))
     with pytest.raises(ShapeMismatch, match="target"):

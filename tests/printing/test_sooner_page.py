@@ -6,9 +6,12 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 PAGE = Path(__file__).parents[2] / "docs" / "sooner.md"
 
 
+@pytest.mark.slow
 def test_a_limit_buys_time_with_window() -> None:
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
     known: dict[str, Any] = {}

@@ -20,7 +20,7 @@ from vamgpu.printing import summary
 from vamgpu.printing.judgement import judged
 from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced, softer
 from vamgpu.printing.simulate import simulate
-from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable, tolerance_table
+from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable, _closed_in, tolerance_table
 
 GRID = Grid((28, 28, 4), 0.2)
 BEAM = Beam((32, 4), 0.2)
@@ -119,6 +119,7 @@ def test_the_first_wrong_voxel_is_where_the_print_changes(printed: Print) -> Non
         assert before.missing + before.excess == 0 < beyond.missing + beyond.excess
 
 
+@pytest.mark.slow
 def test_a_voxel_that_prints_outside_is_found_as_well(printed: Print) -> None:
     """With a threshold just above what lies outside, excess comes first."""
     own = score(printed.dose(), printed.fraction)
@@ -136,6 +137,38 @@ def test_a_voxel_that_prints_outside_is_found_as_well(printed: Print) -> None:
 def test_exposures_are_counted_and_bounded(printed: Print) -> None:
     rows = sum(len(scenario.amounts) for scenario in SCENARIOS if scenario.off)
     assert 1 + rows <= printed.table.exposures <= 1 + rows + 3 * 5
+
+
+def curved(root: float) -> Any:
+    """A print whose margin falls along a parabola until it is wrong at ``root``, and what was exposed."""
+    exposed: list[float] = []
+
+    def seen(scenario: Scenario, amount: float) -> SimpleNamespace:  # noqa: ARG001
+        exposed.append(amount)
+        return SimpleNamespace(margin=0.1 * (1.0 - (amount / root) ** 2))
+
+    return SimpleNamespace(exposed=seen, nominal=SimpleNamespace(margin=0.1), amounts=exposed)
+
+
+@pytest.mark.parametrize("root", [0.8, 1.5, -1.1, 0.6])
+def test_a_curved_margin_takes_one_more_exposure(root: float) -> None:
+    """Three known margins of a parabola give its zero: one exposure confirms it, and none is made at the farthest."""
+    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
+    found = curved(root)
+    known = {amount: found.exposed(off, amount) for amount in off.amounts}
+    found.amounts.clear()
+    amount, farthest = _closed_in(found, off, np.sign(root) * off.farthest, known)
+    assert amount == pytest.approx(root, rel=1e-6) and abs(farthest) == off.farthest
+    assert found.amounts == [pytest.approx(root, rel=1e-6)]
+
+
+def test_a_margin_that_stays_takes_the_farthest_amount_alone() -> None:
+    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
+    found = curved(40.0)
+    known = {amount: found.exposed(off, amount) for amount in off.amounts}
+    found.amounts.clear()
+    amount, farthest = _closed_in(found, off, off.farthest, known)
+    assert np.isnan(amount) and farthest == off.farthest and found.amounts == [off.farthest]
 
 
 @pytest.mark.slow
@@ -221,6 +254,7 @@ def test_voxels_near_the_surface_count_only_where_they_are_asked_for(printed: Pr
     assert high.amount == pytest.approx(at / dose[outside].max() - 1.0, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_flat_print_is_judged_from_its_sides_alone() -> None:
     A = Projection(Grid((17, 17, 1), 0.2), Beam((24, 1), 0.2), Turntable(24), None, "numpy")
     fraction = np.zeros(A.grid.shape)

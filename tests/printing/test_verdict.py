@@ -102,8 +102,9 @@ def own_verdict(name: str, dose: np.ndarray, threshold: float) -> dict[str, bool
 
 
 @pytest.mark.parametrize(("name", "method"), [
-    ("ring", "ramp"), ("two", "ramp"), ("two", "fbp"),
-    *(pytest.param(*case, marks=pytest.mark.slow) for case in (("thin", "ramp"), ("ring", "fbp"), ("thin", "fbp"))),
+    ("ring", "ramp"), ("two", "fbp"),
+    *(pytest.param(*case, marks=pytest.mark.slow)
+      for case in (("two", "ramp"), ("thin", "ramp"), ("ring", "fbp"), ("thin", "fbp"))),
     *(pytest.param(name, "osmo", marks=pytest.mark.slow) for name in PARTS),
 ])  # fmt: skip
 def test_it_agrees_with_a_dose_of_its_own(name: str, method: str) -> None:
@@ -134,24 +135,37 @@ def test_light_that_prints_is_told_with_its_latitude_and_time() -> None:
     assert str(verdict).endswith(f"{times.seconds:.3g} s, {times.seconds / 9:.3g} turns at 40 deg/s.")
 
 
-def test_a_part_thinner_than_four_pixels_bears_as_much_less_as_its_deepest_voxels() -> None:
+def test_a_part_thinner_than_four_pixels_bears_as_much_less_as_the_middle_of_its_walls() -> None:
     n = np.hypot(*np.meshgrid(np.arange(N) - 19.5, np.arange(N) - 19.5))
     tube = np.repeat(((n > 11.0) & (n < 14.0))[:, :, None], NZ, 2).astype(np.float32)
     tube[:, :, [0, 1, 2, -3, -2, -1]] = 0.0
     A = vam.Projection(GRID, BEAM, TURN, None, open_device())
     light = vam.optimize(A, tube, "ramp", iterations=20)
     proof = vam.simulate(A, vam.pack(light), tube, irradiance=5.0, critical_dose=1.0, absorption=0.1)
-    (low, _), found = proof.verdict.latitude, proof.judgement.over_tolerance
+    low, found = proof.verdict.latitude[0], proof.judgement.over_tolerance
     assert proof.verdict and found.judged_at(proof.judgement.deep) == 0.0
-    deepest = found.least_in[np.isfinite(found.least_in)][-1]
-    assert low == pytest.approx(proof.scores.threshold / deepest) and 0.3 < low < 1.0
+    middle = proof.dose.numpy()[np.abs(n - 12.5) < 0.5][:, 3:-3]
+    assert low == pytest.approx(proof.scores.threshold / np.quantile(middle, 0.05), abs=0.02) and low < 0.95
     known = ProvedDose.of(proof)
     assert known.least == low and not GivenDose(known, 0.9 * low, 1, 9.0).keeps
     over = verdict_of(replace(proof, scores=replace(proof.scores, threshold=0.3 * proof.scores.threshold)),
                       proof.judgement)  # fmt: skip
     assert not over and not [remedy for remedy in over.remedies if "expose 0 " in remedy]
-    dim = verdict_of(replace(proof, scores=replace(proof.scores, threshold=1.1 * deepest)), proof.judgement)
-    assert dim.latitude[0] == 1.0 and "prints incorrectly" not in dim.sentence  # nothing of it lies two pixels deep
+    dim = verdict_of(replace(proof, scores=replace(proof.scores, threshold=1.1 * middle.max())), proof.judgement)
+    assert dim.latitude[0] >= 1.0 and "prints incorrectly" not in dim.sentence  # nothing of it lies two pixels deep
+
+
+def test_a_gap_of_four_pixels_bears_as_much_more_as_its_middle() -> None:
+    x = np.abs(np.arange(N) - 19.5)
+    part = np.zeros(GRID.shape, np.float32)
+    part[np.ix_((x > 1.6) & (x < 9.0), x < 9.0, np.arange(4, NZ - 4))] = 1.0
+    A = vam.Projection(GRID, BEAM, TURN, None, open_device())
+    proof = vam.simulate(A, vam.pack(vam.optimize(A, part, "ramp", iterations=40)), part, absorption=0.1)
+    high, (_, far) = proof.verdict.latitude[1], proof.judgement.over_tolerance.limits(proof.judgement.deep)
+    fine = np.concatenate([np.asarray(slab.dose) for slab in proof.fine(GRID.inscribed_radius)], axis=2)
+    bridge = fine[N - 4 : N + 4, 22:-22, 8:-8].min(axis=0).max()  # the darkest voxel on the brightest line across
+    assert proof.verdict and far < 0.9 * bridge, "nothing that is two pixels from the surface says so"
+    assert high == pytest.approx(proof.scores.threshold / bridge, abs=0.015) and high > 1.05
 
 
 def changed(proof: Proof, **changes: int) -> Judgement:
@@ -164,7 +178,7 @@ def changed(proof: Proof, **changes: int) -> Judgement:
     ("kind", "said"),
     [
         ("bodies_lost", "2 bodies of the part do not print"), ("bodies_merged", "2 bodies join another one"),
-        ("bodies_broken", "2 bodies are broken"), ("bodies_extra", "2 loose bodies print beside it"),
+        ("bodies_broken", "2 bodies are broken"), ("bodies_extra", "2 loose bodies print beside the part"),
         ("holes_closed", "2 holes of the part are closed"), ("holes_opened", "2 holes open that are not in the part"),
         ("cavities_filled", "2 cavities are filled"), ("cavities_extra", "2 voids are left in the part"),
     ],
@@ -188,10 +202,8 @@ def test_what_else_is_wrong_is_said_with_its_remedy() -> None:
     assert "more than 200 µm from the surface prints incorrectly" in dim.sentence
     low, high = dim.latitude
     assert f"expose {np.sqrt(low * high):.3g} times as long" in dim.remedies and 1.0 < low < high
-    alone = replace(judgement.over_tolerance, greatest_out=np.zeros_like(judgement.over_tolerance.greatest_out))
-    lone = replace(proof, outer=None, scores=replace(scores, threshold=1.3 * scores.threshold))
-    beside_nothing = verdict_of(lone, replace(judgement, over_tolerance=alone))
-    assert f"expose {2.0 * low:.3g} times as long" in beside_nothing.remedies
+    wrong = replace(judgement, surface=replace(judgement.surface, thresholds=None))
+    assert verdict_of(proof, wrong).latitude == (np.inf, 0.0), "not measured where a body is wrong"
     rough = replace(judgement, surface=replace(judgement.surface, distances=np.full(20, 1.1 * judgement.pixel)))
     assert "5 % of the surface deviates by more than 110 µm" in verdict_of(proof, rough).sentence
     empty = replace(judgement, surface=replace(judgement.surface, distances=np.zeros(0)))
@@ -203,7 +215,7 @@ def test_what_else_is_wrong_is_said_with_its_remedy() -> None:
 
 
 def test_a_coarse_verdict_is_that_of_the_proof_and_says_that_nothing_is_proved() -> None:
-    for name, method in (("ring", "ramp"), ("two", "ramp"), ("ring", "fbp")):
+    for name, method in (("ring", "ramp"), ("two", "fbp")):
         found, target = plan(name, method)
         coarse = vam.simulate(found.operator, vam.pack(found), target, coarse=True)
         assert coarse.operator.grid.pitch <= PITCH and not coarse.independent and not coarse.all_correct
@@ -287,7 +299,7 @@ def test_a_surface_on_the_parts_own_voxels_is_told(monkeypatch: pytest.MonkeyPat
     assert not proof.verdict.not_judged and proof.verdict.sentence in proof._repr_html_()
     monkeypatch.setattr(judging, "WHOLE", 1000)
     told = replace(proof).verdict
-    assert told.prints and "\nNot judged: the surface between the part's own voxels" in str(told)
+    assert told.prints and "\nNot judged: the surface at a finer scale than the part's voxels" in str(told)
 
 
 def test_the_judge_of_the_records_compares_pieces_one_for_one() -> None:

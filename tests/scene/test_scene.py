@@ -14,7 +14,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch, TargetTooLarge
+from vamgpu.errors import BadInput, EmptyMesh, OutOfMemory, ShapeMismatch, TargetTooLarge
 from vamgpu.jobs.read import Job
 from vamgpu.losses import Band, Loss
 from vamgpu.methods import METHODS
@@ -314,6 +314,16 @@ def test_an_insert_that_absorbs_more_leaves_less_behind_it() -> None:
     assert (dark[behind] / alike[behind]).mean() == pytest.approx(np.exp(-0.8), rel=0.03)
 
 
+def test_rows_wider_than_voxels_light_all_of_them_beside_an_insert(opencl_device: Device) -> None:
+    below = vam.Body(lambda x, y, z: np.hypot(x, y) - 0.6 + np.maximum(z + 1.0, 0.0), "insert")
+    scene = vam.Scene([vam.Body(rod(0.4, 0.8)), below])
+    target = scene.target(pitch=0.2, shape=(16, 16, 12), device="numpy")
+    A = scene.operator(target, vam.Beam((6, 4), 0.6), vam.Turntable(4), device=opencl_device)
+    assert getattr(A, "entries", None) == 0  # rays are marched
+    dose = np.asarray(A.T(np.ones(A.range.shape, np.float32)))[8, 8, 5:11]
+    np.testing.assert_allclose(dose, dose[0], rtol=1e-4)
+
+
 def test_an_insert_that_changes_along_z_is_traced_in_three_dimensions() -> None:
     half = vam.Body(lambda x, y, z: np.maximum(np.hypot(x, y) - 0.4, z), "insert")
     scene = vam.Scene([PART, half])
@@ -387,6 +397,16 @@ def test_what_does_not_fit_is_told_by_how_much() -> None:
     target = scene.target(pitch=PITCH, shape=(48, 48, 16), device="numpy")
     with pytest.raises(TargetTooLarge, match="printable radius"):
         scene.operator(target, BEAM, TURN, vam.Vial(2.9, 0.4, 1.48, 1.5, 1.0), device="numpy")
+
+
+def test_bodies_on_more_voxels_than_memory_holds_say_which_pitch_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VAMGPU_MEMORY", "2 MB")
+    scene = vam.Scene([PART, vam.Body(rod(0.4), "insert")])
+    with pytest.raises(
+        OutOfMemory, match=r"2 bodies on 40 × 40 × 40 voxels of 0.1 mm take 8.32 MB .* pitch of 0.16 mm"
+    ):
+        scene.target(pitch=0.1, shape=(40, 40, 40), device="numpy")
+    assert scene.target(pitch=0.17, shape=(24, 24, 24), device="numpy").grid.pitch == 0.17
 
 
 def test_a_loss_without_weights_says_so() -> None:

@@ -19,6 +19,12 @@ ITERATIONS = {"fbp": 1}
 LOSS = Descent(Band((0.0, 1.0), (0.5, 0.05)), history=5)
 HOW: dict[str, Any] = {**{name: name for name in METHODS}, "loss of one's own": LOSS}
 UNWEIGHTED = {"fbp", "osmo", "recipe"}
+FIRST = ("ramp", "osmo", "loss of one's own")
+"""Methods that are tried by default; the others with -m slow."""
+
+
+def each(names: set[str]) -> list[Any]:
+    return [pytest.param(name, marks=[pytest.mark.slow] * (name not in FIRST)) for name in sorted(names)]
 
 
 def rod(radius: float, x: float = 0.0, y: float = 0.0) -> Any:
@@ -49,7 +55,7 @@ def error(method: str, role: str, dose: float, weight: float) -> float:
 
 
 @pytest.mark.parametrize(("role", "dose"), [("keep out", 0.1), pytest.param("gray", 0.5, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("method", sorted(set(HOW) - UNWEIGHTED))
+@pytest.mark.parametrize("method", each(set(HOW) - UNWEIGHTED))
 def test_a_heavier_body_comes_nearer_to_what_is_asked_of_it(method: str, role: str, dose: float) -> None:
     light, heavy = (error(method, role, dose, weight) for weight in (1.0, 16.0))
     assert heavy < 0.9 * light
@@ -62,7 +68,7 @@ def test_methods_without_weights_say_which_take_them(method: str) -> None:
         error(method, "keep out", 0.5, 2.0)
 
 
-@pytest.mark.parametrize("method", sorted(HOW))
+@pytest.mark.parametrize("method", each(set(HOW)))
 def test_the_body_of_higher_priority_has_the_dose_of_what_it_shares(method: str) -> None:
     asked: dict[str, Any] = {"role": "gray", "dose": 0.4}
     doses = []

@@ -4,22 +4,34 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
+import threading
 import time
-from collections.abc import AsyncIterator
+import tomllib
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from studio_client import BOAT, Client
 
+from vamgpu.errors import BadInput
+from vamgpu.hosts.records.state import PrintState
+from vamgpu.jobs.build import scene_of
+from vamgpu.jobs.curethrough import CurethroughJob
 from vamgpu.jobs.keys import keys_of
 from vamgpu.jobs.progress import recorded
 from vamgpu.jobs.read import Job
-from vamgpu.studio import prints
+from vamgpu.jobs.web import WebJob
+from vamgpu.storage.atomic import replacing
+from vamgpu.storage.folder import Entry, write_folder
+from vamgpu.studio import prints, routes
 from vamgpu.studio.events import KEPT, Events
 from vamgpu.studio.forms import form
-from vamgpu.studio.parts import Part, placed
+from vamgpu.studio.parts import Part, is_closed, placed
 from vamgpu.studio.server import Studio
 from vamgpu.studio.workspace import Workspace
 from vamgpu.targets import shapes
@@ -43,6 +55,25 @@ def test_the_workspace_lists_what_the_command_line_left(client: Client, tmp_path
     client("DELETE", "/jobs/bad.toml")
     after = client("GET", "/workspace")
     assert after["trash"] == 1 and len(after["jobs"]) == 1 and len(list((lab / "trash").iterdir())) == 1
+
+
+@pytest.mark.parametrize(("change", "state"), [
+    (lambda text: text, "solved"), (lambda text: f"# a remark\n{text}\n", "solved"),
+    (lambda text: text.replace("[solve]", '[solve]\ndevice = "pocl"'), "solved"),
+    (lambda text: text.replace('"1.0 mm"', '"1.1 mm"'), "changed"),
+    (lambda text: text.replace("angles = 40", ""), "changed"),
+])  # fmt: skip
+def test_a_job_has_changed_if_its_keys_differ(
+    client: Client, tmp_path: Path, change: Callable[[str], str], state: str
+) -> None:
+    lab = tmp_path / "lab"
+    inputs = {"job": tomllib.loads(BOAT.replace("[solve]", '[solve]\ndevice = "numpy"'))}
+    frames = Entry(np.zeros((2, 3, 4), np.uint8), ("angle", "row", "column"))
+    write_folder(lab / "boat.vam", {"frames": frames}, inputs=inputs, details={}, device="numpy")
+    (lab / "boat.toml").write_text(change(BOAT))
+    os.utime(lab / "boat.toml", (2e9, 2e9))  # times of files, which a copy changes, do not count
+    (job,) = client("GET", "/workspace")["jobs"]
+    assert (job["state"], job["result"]) == (state, "boat.vam")
 
 
 def test_texts_and_fields_are_two_views_of_a_job(client: Client) -> None:
@@ -84,10 +115,13 @@ def test_the_form_has_every_key_with_unit_bounds_and_meaning(client: Client) -> 
         assert [(key["name"], key["doc"]) for key in tables[name]["keys"]] == [(k.name, k.doc) for k in keys_of(name)]
     radius = tables["vial"]["keys"][0]
     assert (radius["type"], radius["unit"], radius["above"], radius["required"]) == ("quantity", "mm", 0.0, True)
+    assert tables["beam"]["keys"][0]["unit"] == "um"
+    for kind, names in (("web", WebJob.model.model_fields), ("slices", CurethroughJob.model.model_fields)):
+        assert [table["name"] for table in client("GET", f"/schema?kind={kind}")["tables"]] == list(names)
     kinds = {
         key["name"]: key["type"] for table in ("target", "beam", "frames", "solve") for key in tables[table]["keys"]
     }
-    known = {"mesh": "file", "pixels": "list", "footprint": "choice", "bits": "choice", "flip_r": "bool",
+    known = {"mesh": "file", "pixels": "list", "bits": "choice", "flip_r": "bool",
              "fill": "number", "iterations": "count", "method": "text", "height": "quantity"}  # fmt: skip
     assert {name: kinds[name] for name in known} == known
     fields = {(table, key["name"]): key["type"] for table in tables for key in tables[table]["keys"]}
@@ -141,6 +175,143 @@ def test_parts_of_a_doubtful_unit_are_named(tmp_path: Path) -> None:
         shapes.build("boat").scaled(scale * 2.0).save(tmp_path / "part.stl")
         doubts = " ".join(Part.load(tmp_path / "part.stl").described()["doubts"])
         assert (word in doubts) and bool(word) == bool(doubts)
+
+
+BODIES = """
+[target]
+factor = 0.5
+orientation = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+
+[[body]]
+mesh = "two.3mf"
+part = 2
+
+[[body]]
+mesh = "two.3mf"
+part = 1
+role = "keep out"
+dose = 0.7
+
+[[body]]
+shape = "nut"
+role = "don't care"
+"""
+
+
+def two(place: Path, name: str = "pin") -> None:
+    """A 3MF file of a block and a pin beside it."""
+    block, pin = trimesh.creation.box((6, 6, 8)), trimesh.creation.cylinder(1.0, 10.0, sections=32)
+    pin.apply_translation((5.0, 2.0, 3.0))
+    scene = trimesh.Scene({"block": block, name: pin})
+    scene.units = "millimeter"
+    scene.export(place)
+
+
+def test_bodies_are_drawn_where_the_scene_places_them(client: Client, tmp_path: Path) -> None:
+    lab = tmp_path / "lab"
+    two(lab / "two.3mf")
+    found = client("GET", "/parts/two.3mf")
+    assert ([body["name"] for body in found["bodies"]], found["doubts"]) == (["block", "pin"], [])
+    beam = BOAT[BOAT.index("[beam]") :]
+    for more in ("", "origin = [1.0, 2.0, 3.0]\n"):
+        text = BODIES.replace("[[body]]", f"{more}\n[[body]]", 1) + beam
+        etag = client("GET", "/jobs/two.toml")["etag"] if (lab / "two.toml").exists() else None
+        assert client("PUT", "/jobs/two.toml", {"text": text, "etag": etag})["errors"] == []
+        arrays, meta = client.arrays("/jobs/two.toml/mesh")
+        made = scene_of(Job.read(lab / "two.toml").file, lab)
+        assert made is not None and meta["shown"] == len(arrays["indices"]) == len(arrays["owner"])
+        for number, body in enumerate(made.bodies):
+            solid = body.solid(made.place)
+            points = arrays["positions"][np.unique(arrays["indices"][arrays["owner"] == number])]
+            assert solid is not None
+            np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], solid.bounds, atol=1e-4)
+        scene = client("GET", "/jobs/two.toml/scene")
+        assert scene["problems"] == [] and scene["vessel"]["inner"] and scene["beam"]["width"] > 0.0
+        radius, low, high = made.printed[0].reach(made.place) or (0.0, 0.0, 0.0)
+        assert scene["part"]["radius"] == pytest.approx(radius, rel=1e-4)
+        assert [scene["part"]["low"][2], scene["part"]["high"][2]] == pytest.approx([low, high], abs=1e-4)
+
+
+def test_names_that_are_roles_are_shown_and_drawn_if_the_job_asks(client: Client, tmp_path: Path) -> None:
+    lab = tmp_path / "lab"
+    two(lab / "two.3mf", "insert pin")
+    assert client("GET", "/parts/two.3mf")["bodies"] == [
+        {"name": "block", "role": None}, {"name": "insert pin", "role": "insert"}]  # fmt: skip
+    text = (
+        '[target]\n[[body]]\nshape = "nut"\n[[body]]\nmesh = "two.3mf"\nroles = "names"\n'
+        + BOAT[BOAT.index("[beam]") :]
+    )
+    assert client("PUT", "/jobs/two.toml", {"text": text})["errors"] == []
+    arrays, meta = client.arrays("/jobs/two.toml/mesh")
+    assert [(body["entry"], body["name"], body["role"]) for body in meta["bodies"]] == [
+        (0, "nut", "print"), (1, "block", "print"), (1, "insert pin", "insert")]  # fmt: skip
+    made = scene_of(Job.read(lab / "two.toml").file, lab)
+    assert made is not None and [body.role for body in made.bodies] == ["print", "print", "insert"]
+    for number, body in enumerate(made.bodies):
+        solid = body.solid(made.place)
+        points = arrays["positions"][np.unique(arrays["indices"][arrays["owner"] == number])]
+        assert solid is not None
+        np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], solid.bounds, atol=1e-4)
+
+
+def test_a_body_that_a_file_lacks_is_named(client: Client, tmp_path: Path) -> None:
+    two(tmp_path / "lab" / "two.3mf")
+    text = BODIES.replace("part = 2", "part = 3") + BOAT[BOAT.index("[beam]") :]
+    client("PUT", "/jobs/two.toml", {"text": text})
+    status, said, _ = client.raw("GET", "/jobs/two.toml/mesh")
+    assert status == 422 and b"expected part 1 to 2, not 3" in said
+    (wrong,) = client("POST", "/jobs/check", {"text": text.replace('"two.3mf"', '"part.stl"', 1)})["errors"][:1]
+    assert wrong["field"].startswith("body.0")
+
+
+@pytest.mark.parametrize("change", ["none", "missing", "turned", "moved"])
+def test_a_surface_with_gaps_is_told_at_once(change: str) -> None:
+    solid = shapes.build("gear_base")
+    corners, faces = solid.vertices.T.astype(np.float32), solid.faces.copy()
+    soup = np.ascontiguousarray(corners[:, faces.ravel()])
+    if change == "moved":
+        soup[0, 7] = np.nextafter(soup[0, 7], np.float32(9.0))
+    order = np.arange(soup.shape[1]).reshape(-1, 3)
+    order = (
+        order[1:] if change == "missing" else np.vstack([order[:1, ::-1], order[1:]]) if change == "turned" else order
+    )
+    assert is_closed(soup, order) is (change == "none")
+
+
+def test_a_part_with_a_gap_is_doubted_when_it_is_uploaded(client: Client, tmp_path: Path) -> None:
+    data = shapes.build("nut").save(tmp_path / "nut.stl").read_bytes()
+    assert client("POST", "/parts?name=nut.stl", data, 201)["doubts"] == []
+    count = int.from_bytes(data[80:84], "little") - 1
+    cut = data[:80] + count.to_bytes(4, "little") + data[84:-50]
+    (doubt,) = client("POST", "/parts?name=cut.stl", cut, 201)["doubts"]
+    assert "the surface has gaps" in doubt
+
+
+def test_an_upload_waits_for_the_disk_in_threads(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: dict[str, str] = {}
+
+    @contextmanager
+    def slow(path: Path, overwrite: bool) -> Iterator[Path]:
+        waited["begin"] = threading.current_thread().name
+        with replacing(path, overwrite=overwrite) as draft:
+            yield draft
+        waited["end"] = threading.current_thread().name
+
+    monkeypatch.setattr(routes, "replacing", slow)
+    client("POST", "/parts?name=nut.stl", shapes.build("nut").save(tmp_path / "nut.stl").read_bytes(), 201)
+    assert set(waited) == {"begin", "end"} and all(name.startswith("AnyIO worker") for name in waited.values())
+
+
+@pytest.mark.parametrize("ending", [".stl", ".ply", ".obj", ".3mf"])
+def test_a_part_of_every_format_is_shown(ending: str, tmp_path: Path) -> None:
+    trimesh.creation.box((2.0, 3.0, 4.0)).export(tmp_path / f"box{ending}")
+    part = Part.load(tmp_path / f"box{ending}")
+    assert (part.triangles, part.solids) == (12, 1)
+    np.testing.assert_allclose(
+        np.subtract(part.described()["high"], part.described()["low"]), (2.0, 3.0, 4.0), rtol=1e-5
+    )
 
 
 def test_a_coarse_mesh_keeps_the_extents_of_a_large_file(tmp_path: Path) -> None:
@@ -210,6 +381,24 @@ def test_devices_are_listed_after_a_moment(client: Client) -> None:
     assert "numpy" in [each["name"] for each in found["devices"]]
 
 
+def test_buttons_of_the_print_page_work_while_every_handler_is_busy(client: Client) -> None:
+    engine, free, pressed = client.studio.engine, threading.Event(), threading.Event()
+    engine.prints._board.button("pause", pressed.set)
+    engine.prints._board.show(state=PrintState.PRINTING)
+    busy = [threading.Thread(target=client.raw, args=("GET", "/runs")) for _ in range(60)]
+    engine.prints.runs = lambda: free.wait(60.0) and []  # type: ignore[method-assign]
+    for thread in busy:
+        thread.start()
+    line = http.client.HTTPConnection("127.0.0.1", client.studio.port, timeout=30)
+    try:
+        line.request("POST", "/print/press/pause", headers={"Authorization": f"Bearer {client.studio.token}"})
+        assert line.getresponse().status == 200 and pressed.is_set()
+    finally:
+        free.set()
+        for thread in busy:
+            thread.join()
+
+
 def test_the_queue_runs_one_task_at_a_time_on_a_device_and_survives(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"{name}.toml").write_text(BOAT)
@@ -244,7 +433,10 @@ def test_a_print_begins_only_when_it_is_started_and_only_one_on_a_rig(tmp_path: 
         client, tasks = Client(studio), studio.engine.tasks
         first = client("POST", "/tasks", given | {"result": "a.vam", "confirm": "a.vam"}, 201)
         client("POST", "/tasks", given | {"result": "b.vam", "confirm": "b.vam"}, 409)
-        client("POST", "/tasks", {"kind": "rehearse", "rig": "emulated", "result": "b.vam"}, 201)
+        watched = {"kind": "rehearse", "rig": "emulated", "result": "b.vam", "live": True, "turns": 16}
+        arguments = tasks.one(client("POST", "/tasks", watched, 201)["id"]).facts["arguments"]
+        assert arguments == ["print", "b.vam", "--rig", "emulated", "--out", "b.dry-run", "--dry-run", "--live",
+                             "--turns", "16"]  # fmt: skip
     with Studio(tmp_path) as studio:
         studio.engine.look = lambda: None  # type: ignore[method-assign]
         tasks, started = studio.engine.tasks, list[str]()
@@ -252,6 +444,9 @@ def test_a_print_begins_only_when_it_is_started_and_only_one_on_a_rig(tmp_path: 
         tasks.poll()
         assert tasks.one(first["id"]).state == "cancelled" and started == ["rehearse"]
     assert (tmp_path / ".studio").stat().st_mode & 0o077 == 0
+    with pytest.raises(BadInput, match="there is no .*mistyped"):
+        Workspace(tmp_path / "mistyped")
+    assert not (tmp_path / "mistyped").exists()
 
 
 def test_a_page_that_shows_another_run_keeps_it_while_a_print_goes_on(

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from studio_client import BOAT, Client
 
+from vamgpu.metrics import surface_judgement, thin_regions
+from vamgpu.printing import judgement
+from vamgpu.printing import proof as proofs
 from vamgpu.printing.proof_folder import load_proof
 from vamgpu.studio.server import Studio
 from vamgpu.targets import shapes
@@ -18,7 +21,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 COARSE = BOAT.replace("250 um", "400 um")
 
 
-def test_upload_solve_cancel_go_on_verdict_export_rehearse(client: Client, tmp_path: Path) -> None:
+def test_upload_solve_cancel_go_on_verdict_export_rehearse(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lab = tmp_path / "lab"
     mesh = shapes.build("boat").save(tmp_path / "part.stl").read_bytes()
     part = client("POST", "/parts?name=part.stl", mesh, 201)
@@ -50,6 +55,8 @@ def test_upload_solve_cancel_go_on_verdict_export_rehearse(client: Client, tmp_p
 
     result = client("GET", "/results/part.vam")
     proof = load_proof(lab / "part.proof", "numpy")
+    monkeypatch.setattr(judgement, "judge_surface", surface_judgement.judge_surface)  # at as many points as the page
+    monkeypatch.setattr(proofs, "unjudged", thin_regions.unjudged)
     assert result["verdict"]["sentence"] == proof.verdict.sentence and result["state"] == "proved"
     assert result["scores"]["window"] == pytest.approx(proof.scores.window)
     slice_, meta = client.arrays("/results/part.vam/slice?of=dose&axis=z&index=10")
@@ -90,6 +97,8 @@ def test_upload_solve_cancel_go_on_verdict_export_rehearse(client: Client, tmp_p
     rehearsed = client.ended(task)
     assert rehearsed["run"] == "part.dry-run" and (lab / "part.dry-run" / "run.json").is_file(), rehearsed
     assert [run["name"] for run in client("GET", "/runs")["runs"]] == ["part.dry-run"]
+    assert rehearsed["progress"]["share"] == 1.0
+    assert [stage["stage"] for stage in rehearsed["progress"]["stages"]] == ["plan", "print"]
     assert client("POST", "/print/attach", {"run": "part.dry-run"})["run"] == "part.dry-run"
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import gc
 import tracemalloc
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from vamgpu import Beam, Projection, Target, Turntable, Vial, pack, simulate
 from vamgpu.printing.pack import Solved
 from vamgpu.studio import volumes
 from vamgpu.studio.results import Results
+from vamgpu.studio.volumes import Volumes
 from vamgpu.studio.workspace import Refused, Workspace
 from vamgpu.targets import shapes
 
@@ -49,6 +53,7 @@ def opened(results: Results, number: int) -> None:
     results.sinogram(name, None)
 
 
+@pytest.mark.slow
 def test_ten_jobs_opened_in_a_loop_take_no_more_memory(workspace: Workspace) -> None:
     results = Results(workspace)
 
@@ -66,6 +71,26 @@ def test_ten_jobs_opened_in_a_loop_take_no_more_memory(workspace: Workspace) -> 
     finally:
         tracemalloc.stop()
     assert mapped == len(results._volumes._known) == volumes.KEPT
+
+
+def test_an_array_is_read_while_another_one_is_mapped(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, known, free, begun = workspace.manifest(workspace.folder / "boat-0.proof"), Volumes(), Event(), Event()
+    known.of(folder, "target")
+    made = volumes._mapped
+
+    def slowly(*given: Any) -> np.ndarray:
+        begun.set()
+        free.wait(60.0)
+        return made(*given)
+
+    monkeypatch.setattr(volumes, "_mapped", slowly)
+    with ThreadPoolExecutor(3) as pool:
+        doses = [pool.submit(known.of, folder, "dose") for _ in range(2)]
+        assert begun.wait(60.0)
+        target = pool.submit(known.of, folder, "target").result(60.0)
+        assert target.shape and not any(dose.done() for dose in doses)
+        free.set()
+        assert doses[0].result(60.0) is doses[1].result(60.0)
 
 
 def test_slices_are_those_of_the_array(workspace: Workspace) -> None:

@@ -137,6 +137,7 @@ BODIES: list[tuple[str, str, Any]] = [
     ("POST", "/tasks", {"kind": "export", "result": "boat.vam", "format": "exe"}),
     ("POST", "/tasks", {"kind": "export", "result": "boat.vam", "format": "png", "canvas": "1x1 --rig x"}),
     ("POST", "/tasks", {"kind": "export", "result": "link.vam", "format": "png"}),
+    ("POST", "/tasks", {"kind": "model", "job": "../secret.toml"}),
     ("POST", "/tasks", {"kind": "orient", "job": "boat.toml", "count": 10**9}),
     ("POST", "/tasks", {"kind": "orient", "job": "boat.toml", "count": 1.5}),
     ("POST", "/tasks", {"kind": "expose", "result": "boat.vam", "off": {}}),
@@ -185,7 +186,9 @@ QUERIES = ["/jobs/boat.toml?x=1", "/jobs/boat.toml/mesh?most=0", "/jobs/boat.tom
            "/results/boat.vam/volume?dtype=object", "/results/boat.vam/exposure?dose=nan",
            "/results/boat.vam/exposure?dose=-1", "/results/boat.vam?proof=../x.proof", "/compare?a=boat.vam",
            "/rigs/emulated?speed=inf", "/runs/..%2flab/report.html", "/runs/lab/state.json", "/tasks/1", "/nothing",
-           "/presets?a=1"]  # fmt: skip
+           "/presets?a=1", "/schema?kind=rig", "/stacks/boat.toml", "/stacks/..%2fsecret.toml", "/stacks/link.toml",
+           "/stacks/boat.toml/slice?index=0", "/stacks/boat.toml/slice?index=0&of=../x",
+           "/stacks/boat.toml/report?of=x", "/results/boat.vam/frame?index=0&plane=-1"]  # fmt: skip
 
 
 @pytest.mark.parametrize("path", QUERIES)

@@ -14,7 +14,7 @@ import trimesh
 
 from vamgpu.errors import BadInput, EmptyMesh, MeshError, MeshWarning, NotWatertight
 from vamgpu.targets.circle import smallest_enclosing_circle
-from vamgpu.targets.mesh import FORMATS, from_trimesh, load_mesh
+from vamgpu.targets.mesh import FORMATS, Mesh, from_trimesh, load_mesh
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
@@ -46,7 +46,7 @@ def joined(first: Solid, second: Solid) -> Solid:
     return Solid(np.concatenate([first.vertices, second.vertices]), faces)
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", FORMATS[:4])
 def test_every_format_gives_the_same_part_back(tmp_path: Path, suffix: str) -> None:
     file = block().save(tmp_path / f"part{suffix}")
     part = load_mesh(file)
@@ -89,7 +89,7 @@ def test_missing_files_and_unknown_formats(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="check the path"):
         load_mesh(tmp_path / "absent.stl")
     with pytest.raises(BadInput, match=r"\.3mf"):
-        load_mesh(tmp_path / "part.step")
+        load_mesh(tmp_path / "part.iges")
     (tmp_path / "text.stl").write_text("a text that somebody renamed\n")
     with pytest.raises(EmptyMesh, match=r"'text\.stl' has no triangles: it is empty, or no STL file; expected"):
         load_mesh(tmp_path / "text.stl")
@@ -210,12 +210,6 @@ def test_a_large_hole_is_refused_with_the_number_of_open_edges() -> None:
     assert opened.open_edges > 10
     with pytest.raises(NotWatertight, match=rf"bowl: {opened.open_edges} open edges.*[Cc]lose the holes"):
         repaired(opened)
-
-
-def test_without_repair_any_open_edge_is_an_error() -> None:
-    part = block()
-    with pytest.raises(NotWatertight, match="3 open edges"):
-        from_trimesh(trimesh.Trimesh(part.vertices, part.faces[1:], process=False), repair=False)
 
 
 def test_a_folded_sheet_is_refused() -> None:
@@ -416,3 +410,14 @@ def test_text_in_another_encoding_is_read(tmp_path):
     file = tmp_path / "part.obj"
     file.write_bytes("# Gerät\n".encode("latin-1") + corners.encode())
     assert load_mesh(file).volume == pytest.approx(1 / 6)
+
+
+def test_corners_of_a_file_are_merged_as_by_trimesh() -> None:
+    """Corners a ten-billionth apart are one vertex, also on either side of 0; the order is that of the file."""
+    ball = trimesh.creation.icosphere(2, 7.0)
+    corners = np.random.default_rng(1).permutation(ball.vertices[ball.faces])
+    corners += np.random.default_rng(2).choice([-1e-10, 0.0, 1e-10], corners.shape)
+    expected = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    found = Mesh.of(corners)
+    assert len(found.vertices) == len(ball.vertices)
+    assert np.array_equal(found.vertices, expected.vertices) and np.array_equal(found.faces, expected.faces)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
+from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid
 from vamgpu.targets.implicit import voxelize
 from vamgpu.targets.lattices import CubicLattice
@@ -87,14 +87,13 @@ def test_neutral_line_keeps_its_length() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cut", ["function", "voxels"])
-def test_a_part_cut_on_the_spiral_and_wound_again_matches_itself(cut: str) -> None:
+def test_a_part_cut_on_the_spiral_and_wound_again_matches_itself() -> None:
     part = Branches()
     grid, web = Grid((168, 168, 52), 0.08), SPIRAL.web(0.08, 4.16)
     x, y, z = grid.axes()
     held = SPIRAL.flat(x[:, None], y[None, :])[2]
     solid = voxelize(part, grid, samples=5)
-    film = voxelize(SPIRAL.film(part), web, samples=5) if cut == "function" else SPIRAL.unwind(solid, grid, web)
+    film = voxelize(SPIRAL.film(part), web, samples=5)
     again = SPIRAL.wind(film, web, grid)
     assert film.shape == web.shape and web.shape[0] == int(np.ceil(SPIRAL.length / 0.08))
     assert overlap(solid * held[..., None], again * held[..., None]) > 0.99
@@ -122,9 +121,5 @@ def test_bad_spirals(values: tuple[float, ...], number: str) -> None:
 
 def test_wrong_arrays() -> None:
     grid, web = Grid((20, 20, 4), 0.1), WebGrid((50, 8, 4), 0.1)
-    with pytest.raises(ShapeMismatch, match="20, 20, 3"):
-        SPIRAL.unwind(np.zeros((20, 20, 3)), grid, web)
     with pytest.raises(ShapeMismatch, match="50, 8, 4"):
         SPIRAL.wind(np.zeros((50, 8, 3)), web, grid)
-    with pytest.raises(EmptyMesh, match="1.5"):
-        SPIRAL.unwind(np.ones((20, 20, 4)), grid, web)

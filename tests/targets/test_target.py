@@ -158,9 +158,9 @@ def test_a_trimesh_is_a_target_as_its_file_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "options", "said"), [
-    (1e-3, {"factor": 1.0}, r"is 0\.00\d+ mm at its longest; .* meant in m, take factor=1 \* vamgpu\.units\.m$"),
-    (1e3, {"factor": 1.0}, r"is [\d.e+]+ mm at its longest; .* meant in um, take factor=1 \* vamgpu\.units\.um$"),
-    (1.0, {"height": 0.005}, r"meant in m, take height=0\.005 \* vamgpu\.units\.m$"),
+    (1e-3, {"factor": 1.0}, r"is 0\.00\d+ mm at its longest; .* meant in m, write factor = 1000$"),
+    (1e3, {"factor": 1.0}, r"is [\d.e+]+ mm at its longest; .* meant in um, write factor = 0\.001$"),
+    (1.0, {"height": 0.005}, r'meant in m, write height = "5 mm"$'),
     (1.0, {"height": 5e9}, r"expected 0\.1 to 1000 mm: check the unit$"),
 ])  # fmt: skip
 def test_the_unit_of_an_odd_part_is_asked_for(scale: float, options: dict[str, Any], said: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,10 @@ def test_the_proof_is_the_dose_of_the_bytes(folder: WebFolder) -> None:
     job = stream_of(WebJob.parse(JOB, SMALL))
     assert job.light.shape[2] == job.layout.window and len(folder.segments) == 3
     grid = WebGrid((folder.columns, *job.grid.shape[1:]), job.grid.pitch)
+    planes = len(folder.details["frames"]["focus"]["planes"])
+    wrap = replace(job.wrap, lit_share=job.wrap.lit_share / planes)  # type: ignore[type-var]  # each for its share
     A = WebProjection(
-        grid, job.beam, job.wrap, job.device, poses=folder.frames, start=float(-job.layout.lead * job.layout.step)
+        grid, job.beam, wrap, job.device, poses=folder.frames, start=float(-job.layout.lead * job.layout.step)
     )
     images = folder.read("frames", 0, folder.frames)
     scale = folder.details["frames"]["scale"]

@@ -108,6 +108,7 @@ def test_a_lamp_that_is_weak_from_half_way_on_is_made_up_for(plan: WebFolder, tm
     ).mean() / 0.82  # fmt: skip
 
 
+@pytest.mark.slow
 def test_another_absorption_is_made_up_for(plan: WebFolder, tmp_path: Path) -> None:
     gain, found = weak(plan.frames), {}
     for name, believed in (("live", 1.4), ("blind", 1.0)):
@@ -121,7 +122,7 @@ def test_another_absorption_is_made_up_for(plan: WebFolder, tmp_path: Path) -> N
     assert np.array_equal(clear.counts, found["live"].counts)
 
 
-@pytest.mark.parametrize("step", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("step", [0.5, *(pytest.param(step, marks=pytest.mark.slow) for step in (1.0, 1.5))])
 def test_what_committed_frames_deliver_is_their_dose_alone(tmp_path: Path, step: float) -> None:
     wrap = Absorbing(advance=step * EDGE)
     job = replace(stream(iterations=1), wrap=wrap)

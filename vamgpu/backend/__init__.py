@@ -3,10 +3,10 @@
 ``numpy`` · ``opencl:<platform>:<index>`` · ``warp:cpu`` · ``warp:cuda:<index>``. The default is NVIDIA's
 OpenCL, else Warp on CUDA, else another OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
 
-Several devices can divide the slices of every field: ``warp:cuda:*`` is all of a kind, ``warp:cuda:0+warp:cuda:2``
-those that are named. ``gpu`` and ``cpu`` are the best of their kind; a part of a name, such as ``cuda``, ``cuda:1`` or
-``intel``, is the best device that it matches. ``opencl:pocl:0@8GB`` limits the memory of fields to 8 GB and keeps
-further ones in files, in the folder that TMPDIR names or in ``/var/tmp``.
+Several devices can divide the slices of every field: ``warp:cuda:*`` uses all CUDA devices,
+``warp:cuda:0+warp:cuda:2`` these two. ``gpu`` and ``cpu`` are the best of their kind; a part of a name, such as
+``cuda``, ``cuda:1`` or ``intel``, is the best device that it matches. ``opencl:pocl:0@8GB`` limits the memory of fields
+to 8 GB and keeps further fields in files, in the folder that TMPDIR names or in ``/var/tmp``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def default_device() -> str:
 
 
 def _gpus() -> Iterator[str]:
-    """GPUs, best first: on NVIDIA's, products on rings are four times as fast in OpenCL as in Warp."""
+    """GPUs, best first: on NVIDIA's, projections on rings are four times as fast in OpenCL as in Warp."""
     nvidia = [name for name in _opencl_names()[0] if name.startswith("opencl:nvidia")]
     yield from nvidia
     yield from _cuda_names()
@@ -59,7 +59,7 @@ def open_device(name: str | Device | None = None) -> Device:
 
     Args:
         name: A name that `devices` lists; a part of one such as ``cuda``, or ``gpu`` or ``cpu``, for the best match;
-            several joined by ``+``; all with a common beginning, as in ``warp:cuda:*``; an open device; or None for the
+            several joined by ``+``; all with a common prefix, as in ``warp:cuda:*``; an open device; or None for the
             default. Upper or lower case does not matter.
 
     Returns:

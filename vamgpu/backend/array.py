@@ -48,7 +48,7 @@ class DeviceArray:
         return self.device.download(self, out)
 
     def part(self, first: int, last: int) -> np.ndarray:
-        """Copy entries of the first axis to NumPy, for arrays of which memory cannot hold a second copy.
+        """Copy entries of the first axis to NumPy, for arrays too large for a second copy in memory.
 
         Args:
             first: The first entry.

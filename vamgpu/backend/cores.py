@@ -16,7 +16,7 @@ In = TypeVar("In")
 Out = TypeVar("Out")
 
 MOST, FEW = 8, 4
-"""Number of threads above which threads of one process wait for memory, and for each other if operations are short."""
+"""Limit of threads: more of them wait for memory, and for each other if operations are short."""
 PIECE = 65_536
 """Number of values that a thread processes."""
 WORKER = "vamgpu"
@@ -54,7 +54,7 @@ def ahead(work: Callable[[In], Out], items: Iterable[In], most: int = MOST) -> I
 
 
 def together(*tasks: Callable[[], Any]) -> list[Any]:
-    """Results of tasks, each run by a thread of its own as far as there are cores."""
+    """Results of tasks, run in parallel on the available cores."""
     return list(ahead(lambda task: task(), tasks))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from math import prod
 from typing import Any, final
 
@@ -14,7 +14,7 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import ahead
-from vamgpu.backend.host_memory import fetched, from_dlpack, to_read
+from vamgpu.backend.host_memory import fetched, from_dlpack, from_host, to_read
 from vamgpu.backend.ledger import Ledger
 from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch
 from vamgpu.kernels.inhibition import put_poses, take_poses
@@ -55,7 +55,7 @@ class Device(ABC):
         except DeviceError:
             is_named = False
         if not is_named:
-            raise DeviceError(f"got {self!r} to pickle, which no other process opens by name; expected a device of "
+            raise DeviceError(f"got {self!r} to pickle, but no other process can open it by name; expected a device of "
                               "vamgpu.open_device: pickle what it computed as NumPy arrays")  # fmt: skip
         return open_device, (self.name,)
 
@@ -63,7 +63,6 @@ class Device(ABC):
     def __deepcopy__(self, memo: Any) -> Device:
         return self
 
-    # ---- abstract: one file per backend -----------------------------------------------------------------------
     @abstractmethod
     def lanes_for(self, nz: int) -> int:
         """Lanes of the layout for fields of ``nz`` slices; 0 for the plain layout."""
@@ -84,9 +83,13 @@ class Device(ABC):
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         """Run a kernel on handles and scalars that already match its declaration."""
 
-    def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
-        """Copy memory of another device into a handle, in order with both queues; False if this would need the host."""
-        return False
+    def _offer(self, handle: Any, taker: Device) -> Any:
+        """Offer a handle, as launched work leaves it, to `_take` of another device; None if only the host could."""
+        return None
+
+    def _take(self, handle: Any, giver: Device, offer: Any) -> None:
+        """Copy what another device offers into a handle, in order with both queues; offers are taken once, in order."""
+        raise DeviceError(f"{self.name} takes nothing from {giver.name}")
 
     def flush(self) -> None:
         """Start launched work if a driver would otherwise wait for more."""
@@ -96,21 +99,21 @@ class Device(ABC):
     def synchronize(self) -> None:
         """Wait until all launched work has run."""
 
-    @abstractmethod
     def adopt(self, foreign: Any) -> DeviceArray:
         """A foreign array on this device (own library, DLPack) as a table, without a copy. Raises `DeviceError`."""
+        return self.upload(from_host(self, foreign), table=True)  # of devices that share no memory with this process
 
     @abstractmethod
     def _native(self, table: DeviceArray) -> Any:
-        """A plain table as the device's own library has it, sharing memory."""
+        """A plain table in the form of the device's own library, sharing memory."""
 
-    @abstractmethod
     def _exported(self, table: DeviceArray, copy: bool) -> Any:
         """An object that exports a plain table by DLPack, sharing memory with it or not."""
+        return table.numpy()
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
         """A handle of the same memory for another number of lanes, with the same contents; None if impossible."""
-        return array.handle
+        return None
 
     @abstractmethod
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
@@ -125,7 +128,6 @@ class Device(ABC):
     def real(self) -> np.dtype:
         """Floating-point type of fields."""
 
-    # ---- final -----------------------------------------------------------------------------------------------
     @final
     def stored_shape(self, shape: tuple[int, ...], lanes: int) -> tuple[int, ...]:
         """Shape in memory: [slab, major, minor, lane] for a field, padding included; a table keeps its own."""
@@ -205,7 +207,7 @@ class Device(ABC):
         if not lanes:
             return self._write(array.handle, np.ascontiguousarray(source, array.dtype), first * prod(array.shape[1:]))
         slabs, major, minor, _ = self.stored_shape(array.shape, lanes)
-        if self.is_gpu and array.dtype == self.real:  # it finds places faster than the host, which copies in one piece
+        if self.is_gpu and array.dtype == self.real:  # the device rearranges faster than the host
             for begin, end in _strips(0, len(source), minor * array.shape[2] * array.dtype.itemsize):
                 part = self.empty((end - begin, *array.shape[1:]))
                 plain = self.empty(part.shape, table=True)
@@ -349,7 +351,7 @@ class Device(ABC):
         return table
 
     def reserve(self, shape: tuple[int, ...]) -> DeviceArray:
-        """An uninitialized table of float32, which may be as large as fields; in a file where those may be in files."""
+        """An uninitialized table of float32, which may be as large as fields, and in a file if fields may be."""
         return self.empty(shape, self.kept("float32"), table=True)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
@@ -395,6 +397,26 @@ class Device(ABC):
         bound = {name: self._bind(kernel, name, spec, bindings[name]) for name, spec in kernel.arguments.items()}
         self._launch(kernel, bound, sizes, self.lanes_for(sizes["z"]) if "z" in sizes else 0)
 
+    @final
+    def _begin(self, kernel: Kernel, given: dict[str, Any]) -> None:
+        """Launch a kernel that another device has checked, with arguments in order, and start it."""
+        bound, shapes = {}, {}
+        for name, spec in kernel.arguments.items():
+            value = given[name]
+            if not isinstance(value, DeviceArray):
+                bound[name] = value
+            elif isinstance(spec, Scalar):
+                bound[name] = self._lanes_of(value)
+            else:
+                bound[name], shapes[name] = value.handle, value.shape
+        sizes = kernel.sizes(shapes)
+        self._launch(kernel, bound, sizes, self.lanes_for(sizes["z"]) if "z" in sizes else 0)
+        self.flush()
+
+    def _asked(self, array: DeviceArray, *entries: int | None) -> Callable[[], np.ndarray]:
+        """`_load`, as a function that waits for it."""
+        return lambda: self._load(array, *entries)  # type: ignore[arg-type]
+
     def _lanes_of(self, array: DeviceArray) -> Any:
         return np.int32(array.lanes)
 
@@ -429,11 +451,9 @@ class Device(ABC):
             )
 
     @final
-    @contextmanager
-    def no_transfers(self) -> Iterator[None]:
+    def no_transfers(self) -> AbstractContextManager[None]:
         """Inside, a transfer above 4 kB raises `TransferForbidden`."""
-        with self.ledger.forbid():
-            yield
+        return self.ledger.forbid()
 
 
 def _finite(source: np.ndarray) -> bool:

@@ -55,7 +55,7 @@ def kept(key: str) -> bytes | None:
 
 
 def keep(key: str, content: bytes) -> None:
-    """Store bytes in the user's cache if it can be written, whole or not at all: a process may be killed meanwhile."""
+    """Store bytes atomically in the user's cache, if it can be written."""
     with suppress(OSError):
         folder = user_cache_path("vamgpu", False, ensure_exists=True)
         with tempfile.TemporaryDirectory(dir=folder) as draft:

@@ -44,11 +44,11 @@ class NumpyDevice(Device):
     def _read(self, handle: np.ndarray, stored: np.ndarray, first: int = 0) -> None:
         stored.reshape(-1)[...] = handle.reshape(-1)[first : first + stored.size]
 
-    def _fetch(self, handle: np.ndarray, other: Device, source: Any) -> bool:
-        if not isinstance(other, NumpyDevice):
-            return False
-        handle[...] = source
-        return True
+    def _offer(self, handle: np.ndarray, taker: Device) -> np.ndarray | None:
+        return handle if isinstance(taker, NumpyDevice) else None
+
+    def _take(self, handle: np.ndarray, giver: Device, offer: np.ndarray) -> None:
+        handle[...] = offer
 
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         kernel.definition(**bound)

@@ -11,7 +11,6 @@ from contextlib import suppress
 from functools import lru_cache
 from hashlib import sha256
 from math import prod
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from vamgpu.backend.host_memory import from_host
 from vamgpu.backend.kernel_cache import keep, kept
 from vamgpu.backend.opencl_platforms import NO_CACHE, all_devices, quiet_build
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
+from vamgpu.kernels.pointwise import opencl
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
 SMALL_TABLE = 1 << 24
@@ -58,15 +58,12 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
     return np.frombuffer(mapped, np.uint8), mapped
 
 
-def _divisor(count: int) -> int:
-    """The largest divisor of a count that is at most `MOST_TOGETHER`."""
-    return next(size for size in range(min(count, MOST_TOGETHER), 0, -1) if count % size == 0)
-
-
-PLACES = 4
-"""Copies from another GPU that may be under way in pinned memory."""
+PLACES = 8
+"""Copies to other GPUs that may be under way in pinned memory."""
+PINNED = 1 << 27
+"""Greatest one [bytes]; while a longer one lasts, the host waits."""
 MOST_ENTRIES = 1 << 31
-"""Entries of a table that an int32 cannot count."""
+"""Number of entries of a table that exceeds an int32."""
 
 
 class OpenclDevice(Device):
@@ -87,7 +84,7 @@ class OpenclDevice(Device):
         self._small_groups = "Portable Computing Language" in device.platform.name
         svm = getattr(device, "svm_capabilities", 0)
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
-        self._pinned: dict[str, deque[tuple[np.ndarray, cl.Event]]] = {}  # by the device that is copied from
+        self._places: deque[tuple[np.ndarray, cl.Event]] = deque()  # pinned memory, free after an event
         self._copies: deque[cl.Event] = deque()
         self._compiled = lru_cache(maxsize=None)(self.compile)
         self._planned = lru_cache(maxsize=4096)(self._plan)
@@ -171,34 +168,37 @@ class OpenclDevice(Device):
             except cl.MemoryError as error:  # drivers may defer an allocation until it is first used
                 raise OutOfMemory(f"{self.name} ran out of memory: {error}") from error
 
-    def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
-        if not isinstance(other, OpenclDevice) or other.context != self.context or isinstance(source, cl.SVM):
-            return False
-        if self.is_gpu:
-            self._through_host(handle, other, source)
-            return True
-        ready = cl.enqueue_marker(other.queue)
-        other.queue.flush()
-        done = cl.enqueue_copy(self.queue, handle, source, wait_for=[ready])
-        self.queue.flush()
-        cl.enqueue_barrier(other.queue, wait_for=[done])
-        return True
-
-    def _through_host(self, handle: Any, other: OpenclDevice, source: Any) -> None:
-        """Copy by way of pinned memory: NVIDIA's driver has the host wait for a copy between two of its GPUs."""
-        nbytes, places = min(handle.size, source.size), self._pinned.setdefault(other.name, deque())
-        pages, free = places.popleft() if len(places) == PLACES else self._pages(nbytes)
-        if pages.nbytes < nbytes:
+    def _offer(self, handle: Any, taker: Device) -> Any:
+        if not isinstance(taker, OpenclDevice) or taker.context != self.context or isinstance(handle, cl.SVM):
+            return None
+        if not self.is_gpu or handle.size > PINNED:
+            ready = cl.enqueue_marker(self.queue)
+            self.queue.flush()
+            return handle, ready
+        # NVIDIA's driver has the host wait for a copy between two of its GPUs, but not for copies of pinned memory
+        pages, free = self._places.popleft() if len(self._places) >= PLACES else self._pages(handle.size)
+        if pages.nbytes < handle.size:
             free.wait()
-            pages, free = self._pages(nbytes)
-        read = cl.enqueue_copy(other.queue, pages[:nbytes], source, is_blocking=False, wait_for=[free])
-        other.queue.flush()
-        written = cl.enqueue_copy(self.queue, handle, pages[:nbytes], is_blocking=False, wait_for=[read])
+            pages, free = self._pages(handle.size)
+        return pages, self._pinned(pages[: handle.size], handle, free)
+
+    def _take(self, handle: Any, giver: OpenclDevice, offer: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        memory, ready = offer
+        if isinstance(memory, np.ndarray):
+            giver._places.append((memory, self._pinned(handle, memory[: handle.size], ready)))
+            return
+        done = cl.enqueue_copy(self.queue, handle, memory, wait_for=[ready])
         self.queue.flush()
-        places.append((pages, written))
-        self._copies += [read, written]  # PyOpenCL waits for copies of host memory whose events are dropped
+        cl.enqueue_barrier(giver.queue, wait_for=[done])
+
+    def _pinned(self, target: Any, source: Any, after: cl.Event) -> cl.Event:
+        """Begin to copy from or to pinned memory."""
+        done: Any = cl.enqueue_copy(self.queue, target, source, is_blocking=False, wait_for=[after])
+        self.queue.flush()
+        self._copies.append(done)  # PyOpenCL waits for copies of host memory whose events are dropped
         while self._copies and self._copies[0].command_execution_status == cl.command_execution_status.COMPLETE:
             self._copies.popleft()
+        return done
 
     def _pages(self, nbytes: int) -> tuple[np.ndarray, cl.Event]:
         """Pinned memory, and the event after which it is free."""
@@ -222,19 +222,21 @@ class OpenclDevice(Device):
             options.append(f"-cl-nv-maxrregcount={registers}")
         try:
             with quiet_build():
-                function = cl.Kernel(self._built(kernel.source, options, cached), kernel.name)
+                function = cl.Kernel(self._built(kernel, options, cached), kernel.name)
                 function.set_scalar_arg_dtypes(_numbers(kernel))
                 return function
         except (cl.Error, RuntimeError) as error:
-            raise KernelError(f"{kernel.source.name} does not build on {self.name}: {error}") from error
+            raise KernelError(f"{kernel.name} does not build on {self.name}: {error}") from error
 
-    def _built(self, source: Path, options: list[str], cached: bool) -> cl.Program:
-        """A program of a file, by the binary of an earlier process if the driver does not keep binaries itself."""
-        program, device = cl.Program(self.context, source.read_text()), self._device
+    def _built(self, kernel: Kernel, options: list[str], cached: bool) -> cl.Program:
+        """A kernel's program, by the binary of an earlier process if the driver does not keep binaries itself."""
+        text, device = opencl(kernel), self._device
+        program = cl.Program(self.context, text)
         if not cached or has_src_build_cache(device):
             return program.build(options, devices=[device], cache_dir=NO_CACHE)
-        files = (path.read_bytes() for path in (source, *sorted(source.parent.glob("*.h"))))
-        key = sha256(repr((device.platform.version, device.name, device.driver_version, options, *files)).encode())
+        files = (path.read_bytes() for path in sorted(kernel.source.parent.glob("*.h")))
+        driver = (device.platform.version, device.name, device.driver_version)
+        key = sha256(repr((*driver, options, text, *files)).encode())
         binary = kept(key.hexdigest())
         if binary is not None:
             with suppress(cl.Error, RuntimeError):  # a binary that the driver refuses is made again
@@ -246,7 +248,7 @@ class OpenclDevice(Device):
 
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
         width = 4 if self.is_gpu else 16
-        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables only has no lanes
+        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel that runs over tables has no lanes
         tiling = self._tiling(kernel, lanes)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
@@ -278,7 +280,7 @@ class OpenclDevice(Device):
     def _group(self, kernel: Kernel, counts: tuple[int, ...], lanes: int) -> tuple[int, int, int]:
         """The declared work-group, cut to whole samples and to the number of slabs."""
         threads, (minor, major, slabs) = lanes // 4, (*self._tiling(kernel, lanes).group, 1)[:3]
-        whole = self._kind(kernel, lanes) == "nvidia"  # its items divide the loading of data
+        whole = self._kind(kernel, lanes) == "nvidia"  # its items share the loading of data
         return (max(minor // threads, 1) * threads, major, slabs if whole else min(slabs, counts[2]))
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
@@ -312,7 +314,9 @@ class OpenclDevice(Device):
                 return function, over, None
             minor = self._tiling(kernel, lanes).minor or over[-1]
             counts = tuple(reversed((*over[:-1], -(-over[-1] // minor))))
-            group = (_divisor(counts[0]), *(1 for _ in counts[1:])) if self._small_groups else None
+            count = counts[0]  # PoCL gets its largest divisor that is small enough
+            size = next(each for each in range(min(count, MOST_TOGETHER), 0, -1) if count % each == 0)
+            group = (size, *(1 for _ in counts[1:])) if self._small_groups else None
         else:
             raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
         if group:

@@ -1,17 +1,19 @@
 """A device of another process: orders go to that process, and only data that is read comes back.
 
-Orders are collected until a flush, a read or a query, and sent in batches, one at a time. They are executed in order,
-and several devices work at the same time.
+A thread sends orders in batches: those that were given while the batch before was executed. Only those who ask for an
+answer wait.
 """
 
 from __future__ import annotations
 
 import weakref
-from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import lru_cache
 from importlib import import_module
 from math import prod
+from queue import SimpleQueue
+from threading import Thread, current_thread
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,14 +21,17 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import STRIP, Device
-from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import DeviceError, VamError
 from vamgpu.kernels.signature import Kernel
 
 Order = tuple[Any, ...]
-"""An action and its arguments."""
-Send = Callable[[list[Order]], Callable[[], list[Any]]]
-"""Function that sends orders and waits for their answers."""
+"""An action and its arguments; futures among them are awaited before it is sent."""
+Queued = tuple[Order, Future[Any] | None] | None
+"""An order, and the future for its answer if it has one; None ends the thread."""
+Send = Callable[[list[Order]], list[Any]]
+"""Function that sends orders, each after whether its answer is wanted, and waits for the answers."""
+PATIENCE = 1.0
+"""Time in which a thread ends [s]."""
 
 
 class Facts(NamedTuple):
@@ -59,13 +64,22 @@ class Served:
         return Facts(self._device.name, self._device.is_gpu, self._device.real.name, self._device.description)
 
     def act(self, orders: list[Order]) -> list[Any]:
-        """Execute orders in sequence and return the answers. Raises `VamError`; other failures become `DeviceError`."""
+        """Execute orders in sequence and return the wanted answers; after a failure, only free memory.
+
+        Raises `VamError`; other failures become `DeviceError`.
+        """
+        left = iter(orders)
         try:
-            return [answer for name, *given in orders if (answer := getattr(self, f"_{name}")(*given)) is not None]
+            each = ((wanted, getattr(self, f"_{name}")(*given)) for wanted, name, *given in left)
+            return [answer for wanted, answer in each if wanted]
         except VamError:
             raise
         except Exception as error:
             raise DeviceError(f"{self._device.name} fails: {type(error).__name__}: {error}") from error
+        finally:
+            for _, name, *given in left:
+                if name == "free":
+                    self._free(*given)
 
     def _empty(self, number: int, shape: tuple[int, ...], dtype: str, lanes: int) -> None:
         kind = np.dtype(dtype)
@@ -74,7 +88,7 @@ class Served:
         self._device.ledger.take(count)
 
     def _free(self, number: int) -> None:
-        _, count = self._handles.pop(number)
+        _, count = self._handles.pop(number, (None, 0))  # nothing, if there was no room for it
         self._device.ledger.give(count)
 
     def _write(self, number: int, stored: np.ndarray, first: int) -> None:
@@ -109,11 +123,60 @@ def _let_go(handles: dict[int, tuple[Any, int]], device: Device) -> None:
     handles.clear()
 
 
+_LATER: Any = object()
+"""In place of an order: there is none yet."""
+
+
 class _Handle:
     """Memory of the other process."""
 
-    def __init__(self, number: int, dtype: np.dtype) -> None:
-        self.number, self.dtype = number, dtype
+    def __init__(self, number: int, count: int, dtype: np.dtype) -> None:
+        self.number, self.count, self.dtype = number, count, dtype
+
+
+def _work(orders: SimpleQueue[Queued], send: Send) -> None:
+    """Send orders and hand out answers; who asks next is told of a failure."""
+    failure: Exception | None = None
+    item: Queued = orders.get()
+    while item is not None:
+        item, failure = _exchange(item, orders, send, failure)
+        item = orders.get() if item is _LATER else item
+
+
+def _exchange(
+    item: Queued, orders: SimpleQueue[Queued], send: Send, failure: Exception | None
+) -> tuple[Queued, Exception | None]:
+    """Send one batch and hand out its answers; return what follows it, and a failure of which nobody was told."""
+    batch, futures = list[Order](), list[Future[Any]]()
+    while item is not None and item is not _LATER:
+        order, future = item
+        if batch and any(isinstance(each, Future) and not each.done() for each in order):
+            break  # another device may wait for this batch before it answers
+        batch.append((future is not None, *order))
+        futures += [] if future is None else [future]
+        item = orders.get_nowait() if not orders.empty() else _LATER
+    try:
+        batch = [tuple(each.result() if isinstance(each, Future) else each for each in order) for order in batch]
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is told
+        failure = failure or error.with_traceback(None)  # which would keep the batch
+        batch = [order for order in batch if order[1] == "free"]
+    try:
+        answers = dict(zip(futures, send(batch), strict=failure is None))
+    except Exception as error:  # noqa: BLE001 - as above
+        failure, answers = failure or error.with_traceback(None), {}
+    for future in futures:
+        if failure is None:
+            future.set_result(answers[future])
+        else:
+            future.set_exception(failure)
+    return item, None if futures else failure
+
+
+def _end(orders: SimpleQueue[Queued], thread: Thread) -> None:
+    """End a thread, and drop what it holds."""
+    orders.put(None)
+    if thread is not current_thread():
+        thread.join(PATIENCE)
 
 
 class RemoteDevice(Device):
@@ -125,13 +188,14 @@ class RemoteDevice(Device):
         """Its name in that process."""
         self.is_gpu: bool = facts.is_gpu
         self._real = np.dtype(facts.real)
-        self._send = send
-        self._orders: deque[Order] = deque()
-        self._waiting = 0
+        self._orders: SimpleQueue[Queued] = SimpleQueue()
+        self._written = 0
         self._count = 0
-        self._answers: Callable[[], list[Any]] | None = None
-        self._items = lru_cache(maxsize=None)(lambda concept, name, shape: self._ask(("items", concept, name, shape)))
-        self._lanes = lru_cache(maxsize=None)(lambda nz: self._ask(("lanes", nz)))
+        self._items = lru_cache(maxsize=None)(lambda concept, name, shape: self._ask("items", concept, name, shape))
+        self._lanes = lru_cache(maxsize=None)(lambda nz: self._ask("lanes", nz))
+        thread = Thread(target=_work, args=(self._orders, send), name=name, daemon=True)
+        thread.start()
+        weakref.finalize(self, _end, self._orders, thread).atexit = False
 
     @property
     def real(self) -> np.dtype:
@@ -143,60 +207,54 @@ class RemoteDevice(Device):
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(self._items(kernel.concept, kernel.name, tuple(shape)))
 
-    # ---- orders ----------------------------------------------------------------------------------------------
-    def flush(self) -> None:
-        self._wait()
-        batch = []
-        while self._orders:  # handles freed meanwhile, in any thread, are appended at the end
-            batch.append(self._orders.popleft())
-        self._waiting = 0
-        if batch:
-            self._answers = self._send(batch)
+    def _tell(self, *order: Any) -> None:
+        self._orders.put((order, None))
 
-    def _wait(self) -> list[Any]:
-        answers, self._answers = self._answers, None
-        return [] if answers is None else answers()
+    def _later(self, *order: Any) -> Future[Any]:
+        answer = Future[Any]()
+        self._orders.put((order, answer))
+        return answer
 
-    def _ask(self, order: Order) -> Any:
-        self._wait()
-        self._orders.append(order)
-        self.flush()
-        return self._wait()[-1]
+    def _ask(self, *order: Any) -> Any:
+        return self._later(*order).result()
 
     def synchronize(self) -> None:
-        self._ask(("synchronize",))
+        self._ask("synchronize")
 
-    # ---- memory ----------------------------------------------------------------------------------------------
     def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> _Handle:
         self._count += 1
-        handle = _Handle(self._count, dtype)
-        self._orders.append(("empty", handle.number, tuple(shape), dtype.name, lanes))
-        weakref.finalize(handle, self._orders.append, ("free", handle.number)).atexit = False
+        handle = _Handle(self._count, prod(shape), dtype)
+        self._tell("empty", handle.number, tuple(shape), dtype.name, lanes)
+        weakref.finalize(handle, self._orders.put, (("free", handle.number), None)).atexit = False
         return handle
 
     def _write(self, handle: _Handle, stored: np.ndarray, first: int = 0) -> None:
-        self._orders.append(("write", handle.number, stored.reshape(-1).copy(), first))
-        self._waiting += stored.nbytes
-        if self._waiting > STRIP:
-            self.flush()
+        self._tell("write", handle.number, stored.reshape(-1).copy(), first)
+        self._written += stored.nbytes
+        if self._written > STRIP:  # orders hold memory until they are sent
+            self._written = 0
+            self.synchronize()
 
     def _read(self, handle: _Handle, stored: np.ndarray, first: int = 0) -> None:
-        stored.reshape(-1)[...] = self._ask(("read", handle.number, stored.size, stored.dtype.name, first))
+        stored.reshape(-1)[...] = self._ask("read", handle.number, stored.size, stored.dtype.name, first)
 
-    def _relaid(self, array: DeviceArray, lanes: int) -> None:
-        return None
+    def _asked(self, array: DeviceArray, *entries: int | None) -> Callable[[], np.ndarray]:
+        if array.lanes or entries:
+            return super()._asked(array, *entries)
+        answer = self._later("read", array.handle.number, prod(array.shape), array.dtype.name, 0)
+        return lambda: answer.result().reshape(array.shape)
 
-    # ---- work ------------------------------------------------------------------------------------------------
+    def _offer(self, handle: _Handle, taker: Device) -> Future[Any] | None:
+        if not isinstance(taker, RemoteDevice):
+            return None
+        return self._later("read", handle.number, handle.count, handle.dtype.name, 0)
+
+    def _take(self, handle: _Handle, giver: Device, offer: Future[Any]) -> None:
+        self._tell("write", handle.number, offer, 0)
+
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         given = {key: _Ref(value.number) if isinstance(value, _Handle) else value for key, value in bound.items()}
-        self._orders.append(("launch", kernel.concept, kernel.name, given, sizes, lanes))
-
-    # ---- arrays of other libraries --------------------------------------------------------------------------
-    def adopt(self, foreign: Any) -> DeviceArray:
-        return self.upload(from_host(self, foreign), table=True)
+        self._tell("launch", kernel.concept, kernel.name, given, sizes, lanes)
 
     def _native(self, table: DeviceArray) -> Any:
         raise DeviceError(f"{self.name} keeps an array in another process, which no library can access; use .numpy()")
-
-    def _exported(self, table: DeviceArray, copy: bool) -> np.ndarray:
-        return table.numpy()

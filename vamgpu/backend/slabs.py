@@ -7,23 +7,26 @@ neighbors. Any other runs only on the first member, on the whole field.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
 from math import prod
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.backend.host_memory import from_host
-from vamgpu.errors import DeviceError
-from vamgpu.kernels.lanes import copy_slices
+from vamgpu.errors import DeviceError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
+from vamgpu.kernels.stack import put_slices
 
 Cuts = list[tuple[int, int]]
 """First slice and the one after the last, a pair per member; empty for members without slices."""
 WHOLE = "all"
+SPARE = 8
+"""Shapes of which each member keeps temporary fields for later launches."""
+Passed = ParamSpec("Passed")
+Found = TypeVar("Found")
 
 
 class Pieces(list[DeviceArray]):
@@ -31,30 +34,30 @@ class Pieces(list[DeviceArray]):
 
 
 class Copies:
-    """A table: on any member that needed it, or in the parts that the members wrote along an axis."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype
+    """A table: on any member that needed it, in parts that the members wrote along an axis, or joined when read."""
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype) -> None:
-        self.shape, self.dtype = shape, dtype
+        self.shape: tuple[int, ...] = shape
+        self.dtype: np.dtype = dtype
         self._whole: dict[Device, DeviceArray] = {}
         self._parts: list[DeviceArray] = []
         self._axis = 0
         self._bands: dict[Any, tuple[Cuts, list[DeviceArray]]] = {}
+        self._joined: Callable[[], np.ndarray] | None = None
 
     def read(self) -> np.ndarray:
         """The table on the host."""
         if self._whole:
             held = next(iter(self._whole.values()))
             return held.device._load(held)
-        if self._parts:
-            return np.concatenate([part.device._load(part) for part in self._parts], self._axis)
-        return np.zeros(self.shape, self.dtype)
+        if self._joined is not None:
+            return self._joined()
+        return np.concatenate(_loaded(self._parts), self._axis) if self._parts else np.zeros(self.shape, self.dtype)
 
-    def keep(self, table: DeviceArray) -> None:
-        """Take one member's copy as the table, and drop the other copies."""
-        self._whole, self._parts, self._bands = {table.device: table}, [], {}
+    def keep(self, table: DeviceArray | None, joined: Callable[[], np.ndarray] | None = None) -> None:
+        """Take one member's copy as the table, or what a function reads, and drop the other copies."""
+        self._whole, self._joined = {} if table is None else {table.device: table}, joined
+        self._parts, self._bands = [], {}
 
     def parts(self) -> list[DeviceArray]:
         """The parts that members wrote; none if the table is whole."""
@@ -63,7 +66,13 @@ class Copies:
     def on(self, device: Device) -> DeviceArray:
         """The whole table on a member."""
         if device not in self._whole:
-            self._whole[device] = _stored(device, self.read(), table=True)
+            copy, held = device.empty(self.shape, self.dtype, table=True), next(iter(self._whole.values()), None)
+            offer = None if held is None else held.device._offer(held.handle, device)
+            if held is None or offer is None:
+                device._store(copy, self.read())
+            else:
+                device._take(copy.handle, held.device, offer)
+            self._whole[device] = copy
         return self._whole[device]
 
     def shared(self, members: Sequence[Device], axis: int, cuts: Cuts, use: Moved) -> list[DeviceArray]:
@@ -71,25 +80,32 @@ class Copies:
         lengths = [end - begin for begin, end in cuts]
         if self._axis != axis or [part.shape[axis] for part in self._parts] != lengths:
             if use.reads:
-                parts = [np.take(self.read(), range(begin, end), axis) for begin, end in cuts]
+                whole = self.read()
+                parts = [np.take(whole, range(begin, end), axis) for begin, end in cuts]
                 self._parts = [_stored(device, part, table=True) for device, part in zip(members, parts, strict=True)]
             else:
                 shapes = [(*self.shape[:axis], length, *self.shape[axis + 1 :]) for length in lengths]
                 self._parts = [m.empty(shape, self.dtype, table=True) for m, shape in zip(members, shapes, strict=True)]
             self._axis = axis
         if use.writes:
-            self._whole, self._bands = {}, {}
+            self._whole, self._bands, self._joined = {}, {}, None
         return self._parts
 
     def band(self, members: Sequence[Device], cuts: Cuts, taps: int, most: int) -> tuple[Cuts, list[DeviceArray]]:
-        """Cut first slices: the entries of each cut within ``most``, counted from its start."""
+        """A table of slice numbers by member: the slices that each needs, and its entries counted from the first."""
         key = (tuple(cuts), taps, most)
         if key not in self._bands:
-            each = [self.read()[begin:end] for begin, end in cuts]
+            whole = self.read()
+            each = [whole[begin:end] for begin, end in cuts]
             spans = [(max(int(e.min()), 0), min(int(e.max()) + taps, most)) if e.size else (0, 0) for e in each]
             parts = [(e - first).astype(self.dtype) for e, (first, _) in zip(each, spans, strict=True)]
             self._bands[key] = spans, [_stored(m, p, table=True) for m, p in zip(members, parts, strict=True)]
         return self._bands[key]
+
+
+def _loaded(arrays: list[DeviceArray], *entries: int | None) -> list[np.ndarray]:
+    """Arrays, or some entries of their first axes, of several members: all are asked before the first one answers."""
+    return [answer() for answer in [array.device._asked(array, *entries) for array in arrays]]
 
 
 def _stored(device: Device, values: np.ndarray, *, table: bool = False) -> DeviceArray:
@@ -98,10 +114,24 @@ def _stored(device: Device, values: np.ndarray, *, table: bool = False) -> Devic
     return array
 
 
+def _yields(
+    act: Callable[Concatenate[SlabDevice, Passed], Found],
+) -> Callable[Concatenate[SlabDevice, Passed], Found]:
+    """A method that gives spare fields back without memory; another process may not even have made them."""
+
+    @wraps(act)
+    def tried(self: SlabDevice, *given: Passed.args, **named: Passed.kwargs) -> Found:
+        try:
+            return act(self, *given, **named)
+        except OutOfMemory:
+            self._spare.clear()
+            raise
+
+    return tried
+
+
 class SlabDevice(Device):
     """Devices that divide the slices of every field; a device may be a member more than once."""
-
-    members: tuple[Device, ...]
 
     def __init__(self, name: str, members: Sequence[Device]) -> None:
         if len({(type(member), member.is_gpu, member.real) for member in members}) != 1:
@@ -110,7 +140,7 @@ class SlabDevice(Device):
                 "divide work in the same way"
             )
         super().__init__(name, " and ".join(member.description for member in members))
-        self.members = tuple(members)
+        self.members: tuple[Device, ...] = tuple(members)
         self._spare: dict[tuple[Device, tuple[int, ...]], list[DeviceArray]] = {}
         self.is_gpu: bool = all(member.is_gpu for member in members)
 
@@ -141,7 +171,7 @@ class SlabDevice(Device):
         copies.keep(table)
         return DeviceArray(self, copies, table.shape, table.dtype, 0)
 
-    # ---- memory ----------------------------------------------------------------------------------------------
+    @_yields
     def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> Pieces | Copies:
         if not lanes:
             return Copies(shape, dtype)
@@ -149,6 +179,7 @@ class SlabDevice(Device):
         cuts = zip(self.members, self.cuts(nz), strict=True)
         return Pieces(member.empty((major, minor, end - begin), dtype) for member, (begin, end) in cuts)
 
+    @_yields
     def _write(self, handle: Copies, stored: np.ndarray, first: int = 0) -> None:
         member = self.members[0]
         if first == 0 and stored.size == prod(handle.shape):
@@ -157,27 +188,27 @@ class SlabDevice(Device):
         member._write(table.handle, stored, first)
         handle.keep(table)
 
+    @_yields
     def _read(self, handle: Copies, stored: np.ndarray, first: int = 0) -> None:
         stored.reshape(-1)[...] = handle.read().reshape(-1)[first : first + stored.size]
 
+    @_yields
     def _store(self, array: DeviceArray, source: np.ndarray, first: int = 0) -> None:
         if not array.lanes:
             return super()._store(array, source, first)
         for piece, (begin, end) in zip(array.handle, self.cuts(array.shape[2]), strict=True):
             piece.device._store(piece, source[:, :, begin:end], first)
 
+    @_yields
     def _load(self, array: DeviceArray, first: int = 0, last: int | None = None) -> np.ndarray:
         if not array.lanes:
             return super()._load(array, first, last)
-        return np.concatenate([piece.device._load(piece, first, last) for piece in array.handle], axis=2)
-
-    def _relaid(self, array: DeviceArray, lanes: int) -> None:
-        return None
+        return np.concatenate(_loaded(array.handle, first, last), axis=2)
 
     def _lanes_of(self, array: DeviceArray) -> Pieces:
         return array.handle
 
-    # ---- work ------------------------------------------------------------------------------------------------
+    @_yields
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
         if kernel.reach == "part":
             self._run_twice(kernel, bound)
@@ -185,12 +216,8 @@ class SlabDevice(Device):
             self._run_whole(kernel, bound)
         elif not kernel.reach or _is_counted(kernel):
             self._run_apart(kernel, bound, sizes)
-        elif isinstance(kernel.arguments.get(kernel.reach), Scalar):
-            self._run_placed(kernel, bound, sizes)
-        elif kernel.reach in kernel.arguments:
-            self._run_band(kernel, bound, sizes)
         else:
-            self._run_near(kernel, bound, sizes[kernel.reach] - 1)
+            self._run_among(kernel, bound, sizes)
 
     def _run_apart(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
         """Every member computes its own slices; it gets their number if the kernel needs it."""
@@ -204,8 +231,7 @@ class SlabDevice(Device):
         for member, (begin, end), *mine in zip(self.members, cuts[spec.axes[2]], *shares, strict=True):
             if begin < end:
                 given = dict(zip(bound, mine, strict=True))
-                member.launch(kernel, **given | ({kernel.reach: begin + given[kernel.reach]} if kernel.reach else {}))
-                member.flush()
+                member._begin(kernel, given | ({kernel.reach: begin + given[kernel.reach]} if kernel.reach else {}))
 
     def _shares(self, spec: Field | Table | Scalar, value: Any, cuts: dict[str, Cuts]) -> Sequence[Any]:
         if isinstance(value, Pieces):
@@ -217,104 +243,104 @@ class SlabDevice(Device):
             return [value.on(member) for member in self.members]
         return value.shared(self.members, spec.axes.index(axis), cuts[axis], spec)
 
-    def _run_near(self, kernel: Kernel, bound: dict[str, Any], reach: int) -> None:
-        """Every member computes its own slices among those of its neighbors."""
-        cuts = self.cuts(_height(bound[kernel.over]))
-        spans = [(max(begin - reach, 0), min(end + reach, cuts[-1][1])) for begin, end in cuts]
-        wide = {n: self._spanned(v, spans) for n, v in bound.items() if isinstance(v, Pieces)}
-        for k, (member, (begin, end)) in enumerate(zip(self.members, cuts, strict=True)):
-            if begin < end:
-                given = {n: v.on(member) if isinstance(v, Copies) else v for n, v in bound.items()}
-                given |= {n: pieces[k] for n, pieces in wide.items()}
-                member.launch(kernel, **given)
-                for name, spec in kernel.arguments.items():
-                    if isinstance(spec, Field) and spec.writes and given[name] is not bound[name][k]:
-                        _copy(given[name], begin - spans[k][0], bound[name][k])
-                member.flush()
-        for name, arrays in wide.items():
-            self._done(arrays, bound[name])
-
-    def _run_band(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
-        """Every member computes its own slices from slices of another field that a table names."""
+    def _run_among(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
+        """Every member computes its own slices from more: those near them, or those that a table or a number names."""
         over: Any = kernel.arguments[kernel.over]
-        (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Field) and spec.axes != over.axes)
-        cuts = self.cuts(sizes[over.axes[2]])
-        spans, firsts = bound[kernel.reach].band(self.members, cuts, sizes["tap"], _height(bound[source]))
-        spanned = self._spanned(bound[source], spans)
-        shares = {n: self._shares(kernel.arguments[n], v, {over.axes[2]: cuts}) for n, v in bound.items()}
-        shares[kernel.reach] = firsts
-        for k, (begin, end) in enumerate(cuts):
-            if begin < end:
-                given = {n: spanned[k] if v is bound[source] else shares[n][k] for n, v in bound.items()}
-                self.members[k].launch(kernel, **given)
-                self.members[k].flush()
-        self._done(spanned, bound[source])
-
-    def _run_placed(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
-        """Every member computes those of its own slices to which another field is moved, from a first one on."""
-        over: Any = kernel.arguments[kernel.over]
-        (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Field) and spec.axes != over.axes)
-        cuts, first, height = self.cuts(sizes[over.axes[2]]), int(bound[kernel.reach]), _height(bound[source])
-        spans = [(min(max(begin - first, 0), height), min(max(end - first, 0), height)) for begin, end in cuts]
-        spanned = self._spanned(bound[source], spans)
-        shares = {n: self._shares(kernel.arguments[n], v, {over.axes[2]: cuts}) for n, v in bound.items()}
-        for k, ((begin, _), (low, high)) in enumerate(zip(cuts, spans, strict=True)):
-            if low < high:
-                given = {n: spanned[k] if v is bound[source] else shares[n][k] for n, v in bound.items()}
-                self.members[k].launch(kernel, **{**given, kernel.reach: first + low - begin})
-                self.members[k].flush()
-        self._done(spanned, bound[source])
-
-    def _bring(self, piece: DeviceArray, begin: int, end: int, first: int, wide: DeviceArray) -> None:
-        """Copy slices of a piece to a field, perhaps of another member, that begins with the slice ``first``."""
-        if piece.device is wide.device:
-            return _copy(piece, first, wide)
-        strips = [self._scratch(array.device, (*piece.shape[:2], end - begin)) for array in (piece, wide)]
-        _copy(piece, begin, strips[0])
-        piece.device.flush()
-        if not wide.device._fetch(strips[1].handle, piece.device, strips[0].handle):
-            wide.device._store(strips[1], piece.device._load(strips[0]))
-        _copy(strips[1], first - begin, wide)
-        self._keep(*strips)
+        fields = {n: spec for n, spec in kernel.arguments.items() if isinstance(spec, Field)}
+        other = next((bound[n] for n, spec in fields.items() if spec.axes != over.axes), None)
+        cuts, reach = self.cuts(sizes[over.axes[2]]), bound.get(kernel.reach, 0)
+        active, more = [begin < end for begin, end in cuts], {}
+        if other is None:
+            far, most = sizes[kernel.reach] - 1, sizes[over.axes[2]]
+            spans = [(max(b - far, 0), min(e + far, most)) if b < e else (b, e) for b, e in cuts]
+        elif isinstance(reach, Copies):
+            spans, more[kernel.reach] = reach.band(self.members, cuts, sizes["tap"], _height(other))
+        else:
+            ends = np.clip(np.subtract(cuts, reach), 0, _height(other)).tolist()
+            spans, active = [(low, high) for low, high in ends], [low < high for low, high in ends]
+            more[kernel.reach] = [np.int32(reach + low - b) for (low, _), (b, _) in zip(spans, cuts, strict=True)]
+        read = {id(bound[n]) for n, spec in fields.items() if spec.reads}
+        spread = {id(bound[n]): bound[n] for n in fields if other is None or bound[n] is other}
+        wide = {key: self._spanned(pieces, spans, key in read) for key, pieces in spread.items()}
+        along = {} if other is None else {over.axes[2]: cuts}
+        shares = {n: wide.get(id(v)) or self._shares(kernel.arguments[n], v, along) for n, v in bound.items()} | more
+        for k in np.flatnonzero(active).tolist():
+            given = {n: share[k] for n, share in shares.items()}
+            self.members[k]._begin(kernel, given)
+            for name, spec in fields.items():
+                if spec.writes and given[name] is not bound[name][k]:
+                    _copy(given[name], cuts[k][0] - spans[k][0], bound[name][k])
+        for key, pieces in spread.items():
+            self._keep(*(array for array, piece in zip(wide[key], pieces, strict=True) if array is not piece))
 
     def _scratch(self, member: Device, shape: tuple[int, ...]) -> DeviceArray:
         """A temporary field of a member for one launch: drivers take as long to allocate memory as to project."""
-        spare = self._spare.setdefault((member, shape), [])
+        spare = self._spare.get((member, shape))
         return spare.pop() if spare else member.empty(shape)
 
-    def _done(self, wide: list[DeviceArray], own: Pieces) -> None:
-        """Return the memory that `_spanned` took, for later launches; a member's launches run one after another."""
-        self._keep(*(array for array, piece in zip(wide, own, strict=True) if array is not piece))
-
     def _keep(self, *arrays: DeviceArray) -> None:
+        """Return temporary fields, for later launches; a member's launches run one after another."""
         for array in arrays:
-            self._spare[array.device, array.shape].append(array)
+            key = array.device, array.shape
+            self._spare[key] = [*self._spare.pop(key, []), array]  # the last one used is the last one dropped
+            if len(self._spare) > SPARE * len(self.members):
+                del self._spare[next(iter(self._spare))]
 
-    def _spanned(self, pieces: Pieces, spans: Cuts) -> list[DeviceArray]:
-        """Slices of a field on each member, by first slice and the one after the last."""
-        major, minor, _ = pieces[0].shape
-        cuts, wide = self.cuts(_height(pieces)), []
-        for member, own, cut, (first, last) in zip(self.members, pieces, cuts, spans, strict=True):
+    def _spanned(self, pieces: Pieces, spans: Cuts, read: bool) -> list[DeviceArray]:
+        """Slices of a field on each member, by first slice and the one after the last; empty unless they are read."""
+        (major, minor, _), wide, moves = pieces[0].shape, list[DeviceArray](), []
+        for member, own, cut, (first, last) in zip(
+            self.members, pieces, cuts := self.cuts(_height(pieces)), spans, strict=True
+        ):
             wide.append(own if (first, last) == cut else self._scratch(member, (major, minor, max(last - first, 0))))
             for piece, (low, high) in zip(pieces, cuts, strict=True):
-                if wide[-1] is not own and max(low, first) < min(high, last):
-                    self._bring(piece, max(low, first) - low, min(high, last) - low, first - low, wide[-1])
+                begin, end = max(low, first), min(high, last)
+                if wide[-1] is not own and begin < end:
+                    moves.append((piece, begin - low, end - begin, begin - first, wide[-1]))
+        self._move(moves if read else [])
         return wide
 
+    def _move(self, moves: list[tuple[DeviceArray, int, int, int, DeviceArray]]) -> None:
+        """Copy slices: a piece, its first one, their number, and the first one there and the field."""
+        # every member first offers what others need, then copies its own, then takes: none waits for its neighbor
+        across = [move for move in moves if move[0].device is not move[-1].device]
+        strips = [self._scratch(move[0].device, (*move[0].shape[:2], move[2])) for move in across]
+        for (piece, begin, *_), strip in zip(across, strips, strict=True):
+            _copy(piece, begin, strip)
+        offers = [
+            strip.device._offer(strip.handle, move[-1].device) for strip, move in zip(strips, across, strict=True)
+        ]
+        for piece, begin, _, first, wide in moves:
+            if piece.device is wide.device:
+                _copy(piece, begin - first, wide)
+        for strip, offer, (*_, first, wide) in zip(strips, offers, across, strict=True):
+            taken = self._scratch(wide.device, strip.shape)
+            if offer is None:
+                wide.device._store(taken, strip.device._load(strip))
+            else:
+                wide.device._take(taken.handle, strip.device, offer)
+            _copy(taken, -first, wide)
+            self._keep(strip, taken)
+
     def _run_twice(self, kernel: Kernel, bound: dict[str, Any]) -> None:
-        """Every member combines its partial results, and the first member combines these."""
+        """Every member combines its partial results; the host combines these when they are read, in a single wait."""
         (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Table) and "part" in spec.axes)
-        target, results = bound[kernel.over], []
-        for part in bound[source].parts():
-            if part.shape[0]:
-                results.append(part.device.empty(target.shape, target.dtype, table=True))
-                part.device.launch(kernel, **{**bound, source: part, kernel.over: results[-1]})
-                part.device.flush()
-        if results:
-            combined = Copies((len(results) * target.shape[0],), target.dtype)
-            combined.keep(_stored(self.members[0], np.concatenate([r.device._load(r) for r in results]), table=True))
-            bound = {**bound, source: combined}
-        self._run_whole(kernel, bound)
+        shape, dtype = bound[kernel.over].shape, bound[kernel.over].dtype
+        parts = [part for part in bound[source].parts() if part.shape[0]]
+        if not parts:
+            return self._run_whole(kernel, bound)
+        results = [part.device.empty(shape, dtype, table=True) for part in parts]
+        for part, result in zip(parts, results, strict=True):
+            part.device._begin(kernel, {**bound, source: part, kernel.over: result})
+
+        numbers = {name: value for name, value in bound.items() if not isinstance(value, Copies)}
+
+        def joined() -> np.ndarray:
+            found = np.empty(shape, dtype)
+            kernel.definition(**numbers, **{source: np.concatenate(_loaded(results)), kernel.over: found})
+            return found
+
+        return bound[kernel.over].keep(None, joined)
 
     def _run_whole(self, kernel: Kernel, bound: dict[str, Any]) -> None:
         """The first member computes everything, and the others receive their slices."""
@@ -335,19 +361,13 @@ class SlabDevice(Device):
                 for piece, (begin, end) in zip(value, self.cuts(whole.shape[2]), strict=True):
                     piece.device._store(piece, whole[:, :, begin:end])
 
+    @_yields
     def synchronize(self) -> None:
         for member in self.members:
             member.synchronize()
 
-    # ---- arrays of other libraries --------------------------------------------------------------------------
-    def adopt(self, foreign: Any) -> DeviceArray:
-        return self.upload(from_host(self, foreign), table=True)
-
     def _native(self, table: DeviceArray) -> Any:
-        raise DeviceError(f"{self.name} keeps an array on several devices, and no library does; use .numpy()")
-
-    def _exported(self, table: DeviceArray, copy: bool) -> np.ndarray:
-        return table.numpy()
+        raise DeviceError(f"{self.name} keeps an array on several devices; for other libraries, use .numpy()")
 
 
 @cache
@@ -377,4 +397,6 @@ def _height(pieces: Pieces) -> int:
 
 
 def _copy(source: DeviceArray, first: int, field: DeviceArray) -> None:
-    field.device.launch(copy_slices, source=source, first=first, lanes=source, field=field)
+    """Slices of a field of the same member, from ``first`` on."""
+    given = {"source": source, "first": np.int32(-first), "factor": source.dtype.type(1), "keep": np.int32(0)}
+    field.device._begin(put_slices, {**given, "lanes": source, "stack": field})

@@ -6,6 +6,7 @@ import importlib
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from math import prod
 from typing import Any
 
@@ -17,6 +18,8 @@ from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
 from vamgpu.backend.kernel_cache import writable
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
+from vamgpu.kernels import pointwise
+from vamgpu.kernels.catalog import declared
 from vamgpu.kernels.signature import Field, Kernel
 
 LANES = 32
@@ -113,17 +116,18 @@ class WarpDevice(Device):
             wp.copy(seen, handle, src_offset=first, count=count)
         self.synchronize()
 
-    def _fetch(self, handle: wp.array, other: Device, source: Any) -> bool:
-        if not isinstance(other, WarpDevice) or other._device.is_cuda != self._device.is_cuda:
-            return False
+    def _offer(self, handle: wp.array, taker: Device) -> Any:
+        if not isinstance(taker, WarpDevice) or taker._device.is_cuda != self._device.is_cuda:
+            return None
         if self._device.is_cuda:
-            if other._device != self._device and wp.is_peer_access_supported(self._device, other._device):
-                wp.set_peer_access_enabled(other._device, self._device, True)
-            self._device.stream.wait_stream(other._device.stream)
-        wp.copy(handle, source)
-        if self._device.is_cuda:
-            other._device.stream.wait_stream(self._device.stream)
-        return True
+            _let_in(self._device.alias, taker._device.alias)
+        return handle, self._device.stream.record_event() if self._device.is_cuda else None
+
+    def _take(self, handle: wp.array, giver: Device, offer: Any) -> None:
+        source, ready = offer
+        if ready is not None:
+            self._device.stream.wait_event(ready)
+        wp.copy(handle, source)  # the stream of the giver goes on after it
 
     @staticmethod
     def _host_view(handle: wp.array, stored: np.ndarray, first: int) -> tuple[wp.array, int, int]:
@@ -216,6 +220,13 @@ class WarpDevice(Device):
         return view
 
 
+@cache
+def _let_in(owner: str, reader: str) -> None:
+    """Let a GPU read the memory pool of another one; if it cannot, the driver copies by way of the host."""
+    if owner != reader and wp.is_mempool_access_supported(owner, reader):
+        wp.set_mempool_access_enabled(owner, reader, True)
+
+
 def _seen(value: Any, declared: Any) -> Any:
     """A field in the form for its kernel: ``[slab, major, minor, lanes / 4]``, or flat per slab for array2d."""
     if isinstance(value, wp.array) and value.ndim == 4 and declared.ndim == 2:
@@ -225,5 +236,21 @@ def _seen(value: Any, declared: Any) -> Any:
 
 def sibling(kernel: Kernel) -> wp.Kernel:
     """The Warp version of a declared kernel."""
+    if kernel.pointwise:
+        return _from_definitions(kernel.concept)[kernel.name]
     module = importlib.import_module(f"vamgpu.kernels.{kernel.concept}_warp")
     return getattr(module, kernel.name)
+
+
+@cache
+def _from_definitions(concept: str) -> dict[str, wp.Kernel]:
+    """Warp versions of a concept's pointwise kernels, which are compiled together."""
+    module: Any = wp.get_module(f"vamgpu.kernels.{concept}_pointwise")
+    wp.set_module_options({"enable_backward": False, "fast_math": False}, module)
+    names, made = vars(importlib.import_module("vamgpu.kernels.pointwise_warp")), {}
+    for kernel in declared(concept):
+        if kernel.pointwise:
+            text, defined = pointwise.warp(kernel), dict(names)
+            exec(text, defined)  # noqa: S102
+            made[kernel.name] = wp.Kernel(defined[kernel.name], kernel.name, module, source=text)
+    return made

@@ -56,13 +56,11 @@ class RollerAxis:
         return middle - self.column if flip_r else self.column - middle
 
 
-def find_axis(
-    light: ArrayLike, columns: ArrayLike | None = None, *, radius: float | None = None, dark: float | None = None
-) -> RollerAxis:
+def find_axis(light: ArrayLike, columns: ArrayLike | None = None, *, radius: float | None = None) -> RollerAxis:
     """The axis, from readings (columns,) of a photodiode while mirrors are lit line by line. Raises `BadInput`."""
     place, read = _readings(light, columns)
     known = None if radius is None else positive("radius [columns]", radius)
-    low, high, noise = _levels(read, dark)
+    (low, high), noise = (float(q) for q in np.quantile(read, (0.03, 0.97))), noise_of(read)
     if not high - low > LEAST_CONTRAST * noise:
         raise BadInput(
             f"the readings go from {low:.4g} to {high:.4g} with a noise of {noise:.2g}; expected a shadow "
@@ -113,12 +111,6 @@ def _readings(light: ArrayLike, columns: ArrayLike | None) -> tuple[np.ndarray, 
     return place, read
 
 
-def _levels(read: np.ndarray, dark: float | None) -> tuple[float, float, float]:
-    """Light levels of shadow and light, and the noise of one reading."""
-    low, high = (float(q) for q in np.quantile(read, (0.03, 0.97)))
-    return (low if dark is None else float(dark)), high, noise_of(read)
-
-
 def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[tuple[int, bool]]:
     """First reading after every transition between light and shadow, and whether it is into light; noise is ignored."""
     middle, slack = 0.5 * (low + high), min(0.3 * (high - low), max(0.1 * (high - low), 5.0 * noise))
@@ -136,7 +128,7 @@ def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[
 
 
 def _step(x: np.ndarray, column: float, shadow: float, light: float, tilt: float, width: float) -> np.ndarray:
-    """A blurred step from shadow to light that may grow with x, seen by a line one column wide; width < 0 falls."""
+    """A blurred step from shadow to light that may grow with x, seen by a line one column wide; width < 0: it falls."""
     from scipy.special import ndtr
 
     def below(u: np.ndarray) -> np.ndarray:

@@ -49,7 +49,9 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
     from scipy.optimize import isotonic_regression
 
     light = read.mean(axis=1) - base.mean()
-    error = _errors(read)
+    own = read.std(axis=1, ddof=1)  # at least that of a typical level, as few repeats estimate it badly
+    typical, least = float(np.sqrt((own**2).mean())), 1e-9 * max(float(np.abs(read).max()), 1e-300)
+    error = np.maximum(np.maximum(own, typical), least) / np.sqrt(read.shape[1])
     _judge(level, light, error)
     risen = isotonic_regression(light, weights=1.0 / error**2).x
     fall = risen - light
@@ -64,14 +66,6 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
     whole = np.hypot(error, float(np.sqrt((error**2).mean() * read.shape[1] / base.size)))  # with the dark reading
     return GrayReading(tuple(int(each) for each in level), tuple(kept.tolist()), tuple(whole.tolist()),
                        float(np.abs(fall).max()))  # fmt: skip
-
-
-def _errors(read: np.ndarray) -> np.ndarray:
-    """Standard error of each level's mean, but at least that of a typical level, as few repeats estimate it badly."""
-    own = read.std(axis=1, ddof=1)
-    typical = float(np.sqrt((own**2).mean()))
-    least = 1e-9 * max(float(np.abs(read).max()), 1e-300)
-    return np.maximum(np.maximum(own, typical), least) / np.sqrt(read.shape[1])
 
 
 def _judge(level: np.ndarray, light: np.ndarray, error: np.ndarray) -> None:

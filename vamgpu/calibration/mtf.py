@@ -22,7 +22,7 @@ OVERSAMPLE = 4
 LEAST_CONTRAST = 8.0
 """Least step of the edge, relative to the noise of a pixel."""
 LEAST_SLANT = 2.0
-"""Least number of pixels that the edge must move across the picture, which makes its sub-pixel positions even."""
+"""Least number of pixels that the edge crosses over the picture, so that its sub-pixel positions are even."""
 FLAT, REACH = 4.0, 6.0
 """Distances from the edge, in widths of the blur: within `FLAT` all values count fully, beyond `REACH` none does."""
 NARROWEST = 8.0

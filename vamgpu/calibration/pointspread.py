@@ -53,9 +53,9 @@ class PointSpread:
         boxes = (positive("fill", fill) * edge**2 + positive("pixel [mm]", pixel, zero=True) ** 2) / 12.0
         if seen**2 < boxes:
             raise BadInput(
-                f"the edge is blurred by {1e3 * seen:.3g} µm, but pixels of {1e3 * edge:.3g} µm and a camera's of "
-                f"{1e3 * pixel:.3g} µm alone blur it by {1e3 * boxes**0.5:.3g} µm; expected a calibration made with "
-                "this beam's pixels in this plane: correct the beam's pitch or measure again"
+                f"the edge is blurred by {1e3 * seen:.3g} µm, but projector pixels of {1e3 * edge:.3g} µm and camera "
+                f"pixels of {1e3 * pixel:.3g} µm alone blur it by {1e3 * boxes**0.5:.3g} µm; expected a calibration "
+                "made with this beam's pixels in this plane: correct the beam's pitch or measure again"
             )
         return cls(float((seen**2 - boxes) ** 0.5))
 

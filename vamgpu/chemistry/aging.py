@@ -8,9 +8,11 @@ from math import exp
 
 import numpy as np
 
-from vamgpu.chemistry.history import ResinHistory, recovery
+from vamgpu.chemistry.history import Lost, ResinHistory, recovery
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import ExposureTime, NonNegative
 
 BENCHY_SECONDS = (56.8, 45.8, 41.8, 37.2, 39.8)
 """Mean print times of five generations of resin [s]. Source: Table S1 of the automatic exposure paper."""
@@ -24,16 +26,13 @@ LOST = 0.125
 class Aging:
     """Model of how a resin ages from print to print. Raises `BadInput`."""
 
-    fresh: float  # print time in fresh resin [s]
-    spent: float  # share of the oxygen of the remaining liquid that a print uses up
-    refill: float  # D·t/depth² of a night in the full vial, stirring included: oxygen from the free surface
-    lost: float = LOST  # share of the resin that leaves with each print
+    fresh: ExposureTime  # print time in fresh resin [s]
+    spent: Lost  # share of the oxygen of the remaining liquid that a print uses up
+    refill: NonNegative  # D·t/depth² of a night in the full vial, stirring included: oxygen from the free surface
+    lost: Lost = LOST  # share of the resin that leaves with each print
 
     def __post_init__(self) -> None:
-        positive("fresh [s]", self.fresh)
-        positive("refill", self.refill, zero=True)
-        if not (0.0 <= self.spent < 1.0 and 0.0 <= self.lost < 1.0):
-            raise BadInput(f"spent is {self.spent!r}, lost {self.lost!r}; expected shares, 0 ≤ share < 1")
+        check(self)
 
     def night(self, vial: ResinHistory, full: float) -> ResinHistory:
         """The vial after stirring and a night; ``full``: its depth [mm] before the first print."""
@@ -105,7 +104,7 @@ def fit_aging(
         left_out.append(_fit(times, spreads, others, lost).seconds(len(times))[k] - times[k])
         naive.append(times[others].mean() - times[k])
     residuals = np.array(whole.seconds(len(times))) - times
-    return AgingFit(whole, _plain(residuals), _plain(left_out), _plain(naive))
+    return AgingFit(whole, *(tuple(np.array(each).tolist()) for each in (residuals, left_out, naive)))
 
 
 def _fit(times: np.ndarray, spreads: np.ndarray, used: np.ndarray, lost: float) -> Aging:
@@ -126,7 +125,3 @@ def _fit(times: np.ndarray, spreads: np.ndarray, used: np.ndarray, lost: float) 
 
 def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _plain(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
-    return tuple(float(v) for v in values)

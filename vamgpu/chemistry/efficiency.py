@@ -103,8 +103,7 @@ def efficiency_at(
     resins = (rates,) if isinstance(rates, Rates) else tuple(rates)
     turn = light.at(radius, phase)
     turns = _turns(resins, light, turn, 1.0 + positive("most", most))
-    found = [_exposed(resin, turn, turns * light.poses, device) for resin in resins]
-    return np.stack([w for w, _ in found])
+    return np.stack([_exposed(resin, turn, turns * light.poses, device)[0] for resin in resins])
 
 
 def uv_needed(

@@ -16,6 +16,7 @@ from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.attenuate import column_density, expose
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, NonNegative
+from vamgpu.travel import at_rest
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,10 @@ class ColorExposure:
 
         motion = Turntable(given[0].shape[0]) if self.motion is None else self.motion
         object.__setattr__(self, "motion", motion)
+        at_rest("an exposure", motion)
         if motion.angles != given[0].shape[0] or motion.dwell is not None:
-            raise BadInput(f"light of {given[0].shape[0]} angles got {motion} angles; expected as many, lit for "
-                           "equal times: solve with a Turntable without dwell")  # fmt: skip
+            raise BadInput(f"the light has {given[0].shape[0]} angles, its motion is {motion}; expected as many "
+                f"angles, lit for equal times: solve with a Turntable without dwell")  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -75,13 +77,10 @@ class ColorExposure:
 
     def irradiance(self, inhibitor: DeviceArray, angle: int) -> tuple[DeviceArray, DeviceArray]:
         """Irradiance [mW/mm²] of both colors in every voxel, attenuated by C [mol/m³]; overwritten by the next call."""
-        pose, (path, visible, ultraviolet) = self._pose(angle % self.angles), self._fields
-        self.device.launch(column_density, species=inhibitor, open=self._open, pose=pose, path=path)
-        lights = self._lights
-        self.device.launch(
-            expose, path=path, visible_light=lights[0], ultraviolet_light=lights[1], angle=angle % self.angles,
-            pose=pose, extinction=self._extinction, visible=visible, ultraviolet=ultraviolet,
-        )  # fmt: skip
+        angle, (path, visible, ultraviolet) = angle % self.angles, self._fields
+        self.device.launch(column_density, species=inhibitor, open=self._open, pose=self._poses[angle], path=path)
+        self.device.launch(expose, path=path, **self._lights, angle=angle, pose=self._poses[angle],
+                           visible=visible, ultraviolet=ultraviolet)  # fmt: skip
         return visible, ultraviolet
 
     @property
@@ -89,16 +88,11 @@ class ColorExposure:
         """Step along a ray [mm]."""
         return min(self.box.pitch[:2])
 
-    def _pose(self, angle: int) -> DeviceArray:
-        if angle not in self._poses:
-            turn, (dx, dy, _) = self.motion.poses[angle], self.box.pitch  # type: ignore[union-attr]
-            values = [cos(turn), sin(turn), dx, dy, self.pitch, self.step, self.box.radius, 0.0]
-            self._poses[angle] = self.device.table(values)
-        return self._poses[angle]
-
     @cached_property
-    def _poses(self) -> dict[int, DeviceArray]:
-        return {}
+    def _poses(self) -> list[DeviceArray]:
+        sizes = (*self.box.pitch[:2], self.pitch, self.step, self.box.radius, 0.0)
+        turns = self.motion.poses.tolist()  # type: ignore[union-attr]
+        return [self.device.table([cos(turn), sin(turn), *sizes]) for turn in turns]
 
     @cached_property
     def _fields(self) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
@@ -107,14 +101,12 @@ class ColorExposure:
         return path, self.device.empty(self.box.shape), self.device.empty(self.box.shape)
 
     @cached_property
-    def _lights(self) -> tuple[DeviceArray, DeviceArray]:
+    def _lights(self) -> dict[str, DeviceArray]:
         dark = np.zeros(self.shape, np.float32)
-        first, second = (dark if light is None else light for light in (self.visible, self.ultraviolet))
-        return self.device.upload(first), self.device.upload(second)
-
-    @cached_property
-    def _extinction(self) -> DeviceArray:
-        return self.device.table([[color.constant, color.per_c] for color in self.extinction])
+        first, second = (self.device.upload(dark if light is None else light)
+                         for light in (self.visible, self.ultraviolet))  # fmt: skip
+        extinction = self.device.table([[color.constant, color.per_c] for color in self.extinction])
+        return {"visible_light": first, "ultraviolet_light": second, "extinction": extinction}
 
     @cached_property
     def _open(self) -> DeviceArray:

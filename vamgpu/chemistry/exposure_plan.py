@@ -20,6 +20,9 @@ from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.shifts import Wobbled
 from vamgpu.operators.space import require
 from vamgpu.operators.wobble import Wobble
+from vamgpu.schema import check
+from vamgpu.schema.quantities import NonNegative, Place, Thickness
+from vamgpu.travel import at_rest
 
 PER_CM2 = 100.0
 """Number of mm² in a cm²."""
@@ -29,17 +32,13 @@ PER_CM2 = 100.0
 class Disturbance:
     """Errors of a print. Raises `BadInput`."""
 
-    visible: float = 1.0  # share of the dose, as for ultraviolet
-    ultraviolet: float = 1.0
-    axis: float = 0.0  # across the light [mm]
-    blur: float = 0.0  # full width at half maximum [mm] of one pixel's light, the same at every depth
+    visible: NonNegative = 1.0  # factor on the dose of visible light
+    ultraviolet: NonNegative = 1.0
+    axis: Place = 0.0  # across the light [mm]
+    blur: Thickness = 0.0  # full width at half maximum [mm] of one pixel's light, the same at every depth
 
     def __post_init__(self) -> None:
-        positive("Disturbance visible", self.visible, zero=True)
-        positive("Disturbance ultraviolet", self.ultraviolet, zero=True)
-        positive("Disturbance blur [mm]", self.blur, zero=True)
-        if not np.isfinite(self.axis):
-            raise BadInput(f"Disturbance axis is {self.axis!r}; expected a finite offset [mm]")
+        check(self)
 
 
 def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tuple[Disturbance, ...]:
@@ -66,9 +65,10 @@ class TurnLight:
     def __post_init__(self) -> None:
         require(self.visible.range, self.light, "the visible light")
         for operator in (self.visible, self.ultraviolet or self.visible):
+            at_rest("the light of a turn", operator.motion)
             if operator.motion.dwell is not None:
-                raise BadInput(f"the light of a turn got {operator.motion} angles; expected angles that share a turn "
-                               "evenly: solve with a Turntable without dwell")  # fmt: skip
+                raise BadInput(f"the motion is {operator.motion}; expected angles that divide a turn evenly: solve "
+                    f"with a Turntable without dwell")  # fmt: skip
         if (self.ultraviolet is None) != (self.ultraviolet_light is None):
             raise BadInput("ultraviolet light needs its operator, and the operator its light; give both or neither")
         if self.ultraviolet is not None:
@@ -93,7 +93,6 @@ class TurnLight:
         return tuple(found)
 
     def _seen(self, axis: float, blur: float) -> tuple[DeviceArray, ...]:
-        """Dose of each color."""
         pairs = ((self.visible, self.light), (self.ultraviolet, self.ultraviolet_light))
         return tuple(_exposed(A, light, axis, blur) for A, light in pairs if A is not None and light is not None)
 
@@ -111,7 +110,7 @@ class ExposurePlan:
     """Times and irradiances of a print."""
 
     turns: int
-    power: float  # times the light of a turn
+    power: float  # factor on the light of a turn
     period: float  # of a turn [s]
     seconds: float  # of the print
     frame: float  # of an angle [s]

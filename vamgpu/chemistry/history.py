@@ -6,15 +6,18 @@ import json
 from dataclasses import asdict, dataclass, field, fields, replace
 from math import exp, pi
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, NonNegative, Quantity, Share, measured
 from vamgpu.storage.atomic import explained, replacing
-from vamgpu.storage.reading import parse_json, read_text
+from vamgpu.storage.reading import malformed, parse_json, read_text
 
 FORMAT = "vamgpu resin history"
 VERSION = 1
+Lost = Annotated[float, Quantity(least=0.0, below=1.0, hint="a share of the resin, 0 ≤ share < 1")]
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class Event:
     oxygen: float  # after it
     depth: float  # after it
     dose: float = 0.0  # dose that the liquid resin got [mJ/mm³]
-    seconds: float = 0.0  # it took
+    seconds: float = 0.0  # duration
     note: str = ""  # free text
 
 
@@ -34,15 +37,13 @@ class ResinHistory:
     """The state of a vial; every method returns the next state. Raises `BadInput`."""
 
     resin: str  # name
-    depth: float  # of the liquid under its free surface [mm]
-    oxygen: float = 1.0  # mean, normalized to air-saturated resin
-    dose: float = 0.0  # mean over the liquid of all light so far [mJ/mm³]
+    depth: Length  # of the liquid under its free surface [mm]
+    oxygen: Share = 1.0  # mean, normalized to air-saturated resin
+    dose: NonNegative = 0.0  # mean over the liquid of all light so far [mJ/mm³]
     events: tuple[Event, ...] = field(default=())  # events, in order
 
     def __post_init__(self) -> None:
-        positive("depth [mm]", self.depth)
-        positive("dose [mJ/mm³]", self.dose, zero=True)
-        _share("oxygen", self.oxygen)
+        check(self)
 
     @property
     def prints(self) -> int:
@@ -54,16 +55,15 @@ class ResinHistory:
     ) -> ResinHistory:
         """The state after a print that used a share of the oxygen and took a share of the resin. Raises `BadInput`."""
         positive("seconds", seconds, zero=True)
-        _share("spent", spent)
-        if not 0.0 <= lost < 1.0:
-            raise BadInput(f"lost is {lost!r}; expected a share of the resin, 0 ≤ lost < 1")
+        spent, lost = measured("spent", spent, Share), measured("lost", lost, Lost)
         oxygen, depth = self.oxygen * (1.0 - spent), self.depth * (1.0 - lost)
         return self._next("print", oxygen, depth, dose=positive("dose [mJ/mm³]", dose, zero=True), seconds=seconds,
                           note=note)  # fmt: skip
 
     def stirred(self, air: float = 0.0, note: str = "") -> ResinHistory:
         """The state after stirring, which replaces the share ``air`` of the missing oxygen. Raises `BadInput`."""
-        return self._next("stir", self.oxygen + _share("air", air) * (1.0 - self.oxygen), self.depth, note=note)
+        gained = measured("air", air, Share)
+        return self._next("stir", self.oxygen + gained * (1.0 - self.oxygen), self.depth, note=note)
 
     def rested(self, seconds: float, diffusivity: float, note: str = "") -> ResinHistory:
         """The state after a pause under air; oxygen diffuses in from the surface [mm²/s]. Raises `BadInput`."""
@@ -93,14 +93,12 @@ class ResinHistory:
             raise explained("read", Path(path), error) from error
         except ValueError as error:
             raise StorageError(f"{str(path)!r} is not JSON: {error}; expected a file that save() wrote") from error
-        try:
+        with malformed(f"{str(path)!r} is not a {FORMAT}", "expected a file from save()"):
             if data["format"] != FORMAT or data["version"] > VERSION:
                 raise BadInput(f"got {data['format']!r}, version {data['version']}; expected version {VERSION}")
             values: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
             values["events"] = tuple(Event(**event) for event in values["events"])
             return cls(**values)
-        except (KeyError, TypeError, BadInput) as error:
-            raise StorageError(f"{str(path)!r} is not a {FORMAT}: {error}; expected a file from save()") from error
 
 
 def recovery(diffusivity: float, seconds: float, depth: float) -> float:
@@ -111,9 +109,3 @@ def recovery(diffusivity: float, seconds: float, depth: float) -> float:
         return 2.0 * (number / pi) ** 0.5
     odd = [(k + 0.5) * pi for k in range(64)]
     return 1.0 - sum(2.0 / a**2 * exp(-(a**2) * number) for a in odd)
-
-
-def _share(name: str, value: float) -> float:
-    if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0.0 <= value <= 1.0:
-        raise BadInput(f"{name} is {value!r}; expected a share, 0 to 1")
-    return float(value)

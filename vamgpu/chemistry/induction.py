@@ -113,7 +113,7 @@ def fit_induction(
         return (values[:3] - values[3:]).T / 4e-3
 
     best, least = grid[np.argmin(cost)], np.inf
-    jac: Any = slopes  # the stubs know jac only as a word
+    jac: Any = slopes  # the stubs type jac only as a string
     for start in grid[np.argsort(cost)[:6]]:
         inside = np.clip(start, low + 1e-3, high - 1e-3)
         found = least_squares(lambda p: errors(p[None])[0], inside, jac, bounds=(low, high), max_nfev=60)

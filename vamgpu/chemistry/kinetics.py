@@ -37,9 +37,8 @@ class KineticTrajectory:
 
 
 def advance(
-    rates: Rates | Sequence[Rates], state: SpeciesState, light: LightCycle, *, intervals: int | None = None, first: int
-    = 0,
-    rows: int = 1, tolerance: float = TOLERANCE, device: str | Device | None = None,
+    rates: Rates | Sequence[Rates], state: SpeciesState, light: LightCycle, *, intervals: int | None = None,
+    first: int = 0, rows: int = 1, tolerance: float = TOLERANCE, device: str | Device | None = None,
 ) -> KineticTrajectory:  # fmt: skip
     """Expose every item in every resin to the light (eqs 5–7, with a non-negative continuation at the origin).
 
@@ -50,8 +49,8 @@ def advance(
         rates: one resin or several.
         state: items at the start, the same for every resin.
         light: one source for all items, or one for each item.
-        intervals: how many to go through from ``first`` on, cyclically; None is each once.
-        rows: of the stored path; the first is the start, and the others are equally many intervals apart.
+        intervals: number of intervals from ``first`` on, cyclically; None for each once.
+        rows: number of states in the stored path, equally many intervals apart; the first is the start.
         tolerance: of a step, in ``oxygen``.
 
     Raises:
@@ -87,13 +86,9 @@ def advance(
         stuck = np.count_nonzero(when == UNSETTLED)
         raise BadInput(f"{stuck} of {items} items do not converge within {MOST} steps of one interval at a tolerance "
                        f"of {tolerance:g}; use a larger tolerance, or make intervals shorter")  # fmt: skip
-    efficiency = _efficiency(np.repeat([resin.k_a for resin in resins], len(state)), before[:, 0], ends)
+    # W from the balance of visible light, which equals the integral by eq. 5; NaN without oxygen at the start
+    oxygen, used = before[:, 0], np.repeat([resin.k_a for resin in resins], len(state)) * ends[:, 3]
+    efficiency = (used - (oxygen - ends[:, 0])) / np.where(oxygen > 0, oxygen, np.nan)
     event = np.where(when < 0, np.nan, when)
     a, b, c, dose, event, efficiency = (v.reshape(shape) for v in (*ends.T, event, efficiency))
     return KineticTrajectory(a, b, c, dose, event, efficiency, path.numpy().astype(np.float64).reshape(*shape, rows, 4))
-
-
-def _efficiency(k_a: Floats, oxygen: Floats, ends: Floats) -> Floats:
-    """W from the balance of visible light, which equals the integral by eq. 5; NaN without oxygen at the start."""
-    missed, held = k_a * ends[:, 3] - (oxygen - ends[:, 0]), oxygen > 0
-    return np.where(held, missed / np.where(held, oxygen, 1.0), np.nan)

@@ -16,7 +16,7 @@ from vamgpu.chemistry.diffusion import Diffusion, Spread
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid, positive
 from vamgpu.kernels.update import linear
-from vamgpu.operators.compose import NO_FLOOR
+from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.reductions import dot, extent
 from vamgpu.web import WebGrid
 
@@ -27,7 +27,7 @@ PAPERS = (
     "A. Beck, M. Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sci. 2 (2009) 183",
 )
 HALO = 9.0
-"""Standard deviations of the blur that are solved around a block of slices and then dropped."""
+"""Border of a block of slices that is solved and then dropped, in standard deviations of the blur."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,7 @@ def precompensate(
     shape = contrast(spread, goal, background, ridge=ridge, iterations=iterations)
     before, after = misfit(spread, goal, goal), misfit(spread, shape, goal)
     ones = spread.device.upload(np.ones(goal.shape, np.float32))
-    launch = spread.device.launch
-    launch(linear, a=1.0 - background, x=shape, b=background, y=ones, floor=0.0, out=shape)
+    spread.device.launch(linear, a=1.0 - background, x=shape, b=background, y=ones, floor=0.0, out=shape)
     rooted = (1.0 - background) / sqrt(prod(goal.shape))
     return Compensated(shape, before * rooted, after * rooted, extent(shape)[1])
 
@@ -79,7 +78,7 @@ def contrast(
     if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
         raise BadInput(f"iterations is {iterations!r}; expected at least 1")
     device, floor = spread.device, -background / (1.0 - background)
-    shape, ahead, new = (_copy(goal) for _ in range(3))
+    shape, ahead, new = (combine(1.0, goal, 0.0, goal, goal.device.empty(goal.shape)) for _ in range(3))
     image, slope = device.empty(goal.shape), device.empty(goal.shape)
     step, pace = 1.0 / (1.0 + ridge), 1.0
     for _ in range(iterations):
@@ -133,7 +132,8 @@ def stream(
         return np.maximum(dose, 0.0).astype(np.float32)
 
     for slab in slabs:
-        _fits(slab, grid)
+        if slab.ndim != 3 or slab.shape[:2] != grid.shape[:2]:
+            raise ShapeMismatch(f"a slab has shape {slab.shape}; expected {(*grid.shape[:2], 'any')} = [x, y, z]")
         column = np.concatenate([column, np.asarray(slab, np.float32)], axis=2)
         while column.shape[2] >= block + 2 * margin:
             yield solved(column[:, :, : block + 2 * margin], block)
@@ -144,11 +144,6 @@ def stream(
         column = column[:, :, min(block, left) :]
 
 
-def _fits(slab: npt.NDArray[np.floating], grid: Grid) -> None:
-    if slab.ndim != 3 or slab.shape[:2] != grid.shape[:2]:
-        raise ShapeMismatch(f"a slab has shape {slab.shape}; expected {(*grid.shape[:2], 'any')} = [x, y, z]")
-
-
 def _on(spread: Spread, fraction: DeviceArray | npt.NDArray[np.floating]) -> DeviceArray:
     if tuple(fraction.shape) != spread.domain.shape:
         raise ShapeMismatch(f"fractions have shape {tuple(fraction.shape)}; the grid has {spread.domain.shape}")
@@ -157,9 +152,3 @@ def _on(spread: Spread, fraction: DeviceArray | npt.NDArray[np.floating]) -> Dev
     if not np.isfinite(fraction).all():
         raise BadInput("fractions hold numbers that are not finite; expected 0..1")
     return spread.device.upload(np.asarray(fraction))
-
-
-def _copy(field: DeviceArray) -> DeviceArray:
-    out = field.device.empty(field.shape)
-    field.device.launch(linear, a=1.0, x=field, b=0.0, y=field, floor=NO_FLOOR, out=out)
-    return out

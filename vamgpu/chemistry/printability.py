@@ -120,7 +120,7 @@ class LegalRange:
 
     @property
     def legal(self) -> bool:
-        """Whether anything does."""
+        """Whether any power is allowed."""
         return self.low < self.high
 
 

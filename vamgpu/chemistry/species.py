@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.schema import check
-from vamgpu.schema.quantities import NonNegative, Positive
+from vamgpu.schema.quantities import NonNegative, Positive, numeric
 
 Floats = NDArray[np.float64]
 
@@ -30,8 +30,8 @@ class Rates:
     k_2: pairing of B to C [1/(concentration·s)]
     oxygen: [A] before printing; 1e-6 of it counts as depleted
     supply: [C] before printing
-    order: of the splitting in [C]. 0 as eq. 7 has it, until C is used up: then B that pairs up is split again at once,
-        and no more; [C] never falls below 0. 1 as the paper's simulation has it, equal to order 0 at [C] = supply.
+    order: of the splitting in [C]. 0, as in eq. 7, until C is used up; then only the C that pairing returns is split,
+        at once: [C] never falls below 0. 1, as in the paper's simulation; equal to order 0 at [C] = supply.
 
     Raises `BadInput` for negative or infinite numbers, an order that is not 0 or 1, or order 1 without a supply.
     """
@@ -149,13 +149,7 @@ def concentration(letter: str, value: ArrayLike) -> Floats:
 
 
 def _checked(name: str, value: ArrayLike) -> Floats:
-    try:
-        array = np.asarray(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {value!r}; expected numbers") from error
-    bad = array.size - np.count_nonzero(np.isfinite(array))
-    if bad:
-        raise BadInput(f"{name} holds {bad} values that are not finite; expected finite numbers ≥ 0")
+    array = numeric(name, value, (), "finite numbers ≥ 0")
     if array.size and array.min() < 0:
         raise BadInput(f"{name} is {array.min():g} at its lowest; expected nothing below 0")
     return array

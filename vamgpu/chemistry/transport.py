@@ -13,7 +13,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import NEVER, Concentrations
-from vamgpu.chemistry.species import SPECIES, Rates
+from vamgpu.chemistry.species import SPECIES, Rates, concentration
 from vamgpu.errors import BadInput, ShapeMismatch, UnstableStep
 from vamgpu.geometry import centers, counts, positive
 from vamgpu.kernels.transport import transport
@@ -58,28 +58,18 @@ FACES = ("x low", "x high", "y low", "y high", "z low", "z high")
 
 
 @dataclass(frozen=True)
-class Fixed:
-    """A face with a fixed concentration [mol/m³, or normalized like the field]. Raises `BadInput` if negative."""
-
-    value: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "value", positive("the value of a fixed face", self.value, zero=True))
-
-
-Face = Fixed | None
-
-
-@dataclass(frozen=True)
 class Boundary:
-    """One entry per face of a species' box, in the order of `FACES`: None for no flux, or `Fixed`."""
+    """Concentration held at each face of a species' box [mol/m³, or normalized like the field]; None for no flux.
 
-    faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
+    faces: in the order of `FACES`. Raises `BadInput` if one is negative.
+    """
+
+    faces: tuple[NonNegative | None, ...] = (None,) * 6
 
     def __post_init__(self) -> None:
-        known = isinstance(self.faces, (tuple, list)) and len(self.faces) == 6
-        if not known or not all(face is None or isinstance(face, Fixed) for face in self.faces):
-            raise BadInput(f"faces are {self.faces!r}; expected six of None or Fixed: {', '.join(FACES)}")
+        if not isinstance(self.faces, (tuple, list)) or len(self.faces) != len(FACES):
+            raise BadInput(f"faces are {self.faces!r}; expected six numbers or None: {', '.join(FACES)}")
+        check(self)
 
     @classmethod
     def fixed(cls, value: float, *names: str) -> Boundary:
@@ -87,12 +77,11 @@ class Boundary:
         unknown = sorted(set(names) - set(FACES))
         if unknown:
             raise BadInput(f"no face is named {unknown[0]!r}; the faces are {', '.join(FACES)}")
-        faces = [Fixed(value) if name in names else None for name in FACES]
-        return cls((faces[0], faces[1], faces[2], faces[3], faces[4], faces[5]))
+        return cls(tuple(value if name in names else None for name in FACES))
 
     def ghosts(self) -> np.ndarray:
         """g0 and g1 of each face, shape (6, 2): the voxel beyond has g0 + g1·c, which fixes the value at the face."""
-        return np.array([(0.0, 1.0) if face is None else (2.0 * face.value, -1.0) for face in self.faces])
+        return np.array([(0.0, 1.0) if face is None else (2.0 * face, -1.0) for face in self.faces])
 
     def holds(self, axis: int) -> int:
         """Number of fixed faces across an axis."""
@@ -174,14 +163,9 @@ class Transport:
         return Concentrations(*fields, self.device.upload(np.zeros(shape, np.float32)), *never)  # pyright: ignore[reportCallIssue]
 
     def _field(self, name: str, value: Any) -> DeviceArray:
-        try:
-            values = np.asarray(value, np.float64)
-        except (TypeError, ValueError) as error:
-            raise BadInput(f"{name} is {value!r}; expected numbers") from error
+        values = concentration(name, value)
         if values.shape not in ((), self.box.shape):
             raise ShapeMismatch(f"{name} has shape {values.shape}; expected a number or {self.box.shape}")
-        if not np.isfinite(values).all() or values.min() < 0:
-            raise BadInput(f"{name} holds {values.min():g}; concentrations are finite and ≥ 0")
         return self.device.upload(np.broadcast_to(values, self.box.shape))
 
     def advance(
@@ -209,15 +193,22 @@ class Transport:
                 f"use {self.steps(span)} steps or more",
                 self.limit,
             )
-        spread, rates = self._tables(step)
-        done, launch = 0, min(self._fused, count)
+        tables, k, spare, done = self._tables(step), self.reaction, self._spare, 0
+        visible, ultraviolet = (self._dark if shade is None else shade for shade in (visible, ultraviolet))
         while done < count:
-            launch = min(launch, count - done)
-            self._launch(state, launch, state.time + done * step, spread, rates, (visible, ultraviolet))
-            done += launch
+            steps = min(self._fused, count - done)
+            self.device.launch(
+                transport, a=state.a, b=state.b, c=state.c, visible=visible, ultraviolet=ultraviolet, **self._borders,
+                **tables, order=k.order if k else 0, reacting=int(k is not None), optical=k.optical if k else 1.0,
+                mechanical=k.mechanical if k else 1.0, time=state.time + done * step, steps=steps,
+                scratch=self._scratch, a_out=spare[0], b_out=spare[1], c_out=spare[2], dose=state.dose,
+                optical_time=state.optical_time, mechanical_time=state.mechanical_time,
+            )  # fmt: skip
+            state.a, state.b, state.c, spare[:] = *spare, [state.a, state.b, state.c]
+            done += steps
         state.time += span
 
-    def _tables(self, step: float) -> tuple[DeviceArray, DeviceArray]:
+    def _tables(self, step: float) -> dict[str, DeviceArray]:
         """Diffusion and reaction rates of a step, stored for the next one; C splits at the rate k_c at first."""
         if step not in self._kept:
             k = self.reaction or Reaction(0.0, 0.0, 0.0, 0.0)
@@ -225,32 +216,12 @@ class Transport:
             spread = [[d * step / p**2 for p in self.box.pitch] for d in self.diffusivities]
             rates = [k.k_a * step, k.k_b * step, k_c * step, k.k_2 * step, k.cross, step]
             self._kept.clear()
-            self._kept[step] = self.device.table(spread), self.device.table(rates)
+            self._kept[step] = {"spread": self.device.table(spread), "rates": self.device.table(rates)}
         return self._kept[step]
 
     @cached_property
-    def _kept(self) -> dict[float, tuple[DeviceArray, DeviceArray]]:
+    def _kept(self) -> dict[float, dict[str, DeviceArray]]:
         return {}
-
-    def _launch(
-        self,
-        state: Concentrations,
-        steps: int,
-        time: float,
-        spread: DeviceArray,
-        rates: DeviceArray,
-        light: tuple[DeviceArray | None, DeviceArray | None],
-    ) -> None:
-        spare, k = self._spare, self.reaction
-        visible, ultraviolet = (self._dark if shade is None else shade for shade in light)
-        self.device.launch(
-            transport, a=state.a, b=state.b, c=state.c, visible=visible, ultraviolet=ultraviolet, open=self._open,
-            spread=spread, walls=self._walls, rates=rates, order=k.order if k else 0, reacting=int(k is not None),
-            optical=k.optical if k else 1.0, mechanical=k.mechanical if k else 1.0, time=time, steps=steps,
-            scratch=self._scratch, a_out=spare[0], b_out=spare[1], c_out=spare[2], dose=state.dose,
-            optical_time=state.optical_time, mechanical_time=state.mechanical_time,
-        )  # fmt: skip
-        state.a, state.b, state.c, spare[:] = *spare, [state.a, state.b, state.c]
 
     @cached_property
     def _fused(self) -> int:
@@ -284,9 +255,6 @@ class Transport:
         return self.device.upload(np.zeros(self.box.shape, np.float32))
 
     @cached_property
-    def _open(self) -> DeviceArray:
-        return self.device.table(self.box.open(), "uint8")
-
-    @cached_property
-    def _walls(self) -> DeviceArray:
-        return self.device.table(np.stack([boundary.ghosts() for boundary in self.boundaries]))
+    def _borders(self) -> dict[str, DeviceArray]:
+        walls = np.stack([boundary.ghosts() for boundary in self.boundaries])
+        return {"open": self.device.table(self.box.open(), "uint8"), "walls": self.device.table(walls)}

@@ -17,7 +17,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import vamgpu.cli.prove  # noqa: F401
     import vamgpu.cli.rig  # noqa: F401
     import vamgpu.cli.studio  # noqa: F401
-    import vamgpu.cli.view  # noqa: F401
     from vamgpu.cli.commands import app
     from vamgpu.errors import Cancelled, OpticsWarning, VamError
 

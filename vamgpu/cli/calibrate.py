@@ -1,4 +1,4 @@
-"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | turn | live | list``."""
+"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | turn | live | scatter | list``."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from cyclopts import App, Parameter
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import Overwrite, Settings, console
+from vamgpu.cli.options import Overwrite, Settings, Switch, Whole, console
 
 if TYPE_CHECKING:
     from vamgpu.hosts.calibrate.report import CalibrationResult
     from vamgpu.hosts.rigs.config import RigConfig
     from vamgpu.live.turbidity import MeasuredTurbidity
 
-group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; --rig emulated is a dry run.")
+group: App = App(
+    name="calibrate", help="Measure a rig with its camera or photodiode, or a resin; --rig emulated is a dry run."
+)
 app.command(group)
-Switch = Annotated[bool, Parameter(negative="")]
 Places = Annotated[list[float] | None, Parameter(negative="")]
 Rig = Annotated[str, Parameter(help="the TOML file of the rig, or emulated")]
 Out = Annotated[
@@ -100,7 +101,7 @@ def flat(
 ) -> None:  # fmt: skip
     """Measure how uniform each projector is at full drive, with a photodiode that collects all of its light.
 
-    Keep everything out of the light during the measurement, also the roller.
+    Keep everything out of the light during the measurement, including the roller.
 
     Args:
         blocks: number of mirror blocks along rows and columns, which are lit one after another
@@ -110,6 +111,34 @@ def flat(
 
     _run("flat", rig, TABLES, out, settings, overwrite, lambda machines, progress: flat(
         machines, blocks, repeats=repeats, progress=progress))  # fmt: skip
+
+
+@group.command
+def scatter(
+    cuvettes: Path, *, out: Path | None = None, photons: Whole = None, settings: Settings = None,
+    overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Find scattering and absorption of a resin from light behind cuvettes of two or more thicknesses.
+
+    Args:
+        cuvettes: the TOML file of the readings, see docs/resin.md
+        out: TOML file for [scattering] and [vial] of a job
+        photons: number of photons that are followed through each cuvette; 200000 by default
+    """
+    from vamgpu.cli.show import show_rows
+    from vamgpu.hosts.calibrate.report import free
+    from vamgpu.jobs.cuvettes import CuvetteJob
+    from vamgpu.optics.scattering_fit import PHOTONS
+    from vamgpu.storage.atomic import replacing
+
+    if out is not None:
+        free(out, overwrite)
+    found, screen = CuvetteJob.read(cuvettes, settings or ()).fitted(PHOTONS if photons is None else photons), console()
+    show_rows(screen, found.lines(), 12)
+    if out is not None:
+        with replacing(out, overwrite=overwrite) as draft:
+            draft.write_text(found.toml(), encoding="utf-8")
+        screen.print(f"wrote [bold]{escape(str(out))}[/]")
 
 
 @group.command(name="list")
@@ -181,7 +210,7 @@ def turn(
     *, rig: Rig, out: Out = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the vial's speed, and its turn per degree that the motion reports: a camera watches a mark on the vial.
+    """Measure the vial's speed, and how far it turns per reported degree: a camera watches a mark on the vial.
 
     Args:
         turns: number of turns that are watched
@@ -201,8 +230,8 @@ def live(
 ) -> None:  # fmt: skip
     """Measure the camera of watched prints: open field, dark level, noise, and where it sees each mirror.
 
-    Without a vial, single columns and rows of mirrors are lit. Measure again with a vial of fresh resin in front of the
-    camera's own light, and --keep-place, which lights no mirror.
+    Without a vial, single columns and rows of mirrors are lit. Then put a vial of fresh resin in front of the camera's
+    own light, and measure again with --keep-place, which lights no mirror.
 
     Args:
         repeats: number of images at each exposure time

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
+from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
 import vamgpu
 from vamgpu.cli import curethrough, live, sweep
-from vamgpu.cli.options import Overwrite, Settings, console, continued
-from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
+from vamgpu.cli.options import Overwrite, Settings, Switch, console, continued
+from vamgpu.cli.show import report_memory, show_rows, show_verdict, show_web, shown_path
 from vamgpu.errors import BadInput
 
 if TYPE_CHECKING:
@@ -22,11 +24,20 @@ if TYPE_CHECKING:
 
     from vamgpu.jobs.progress import RunEvents
 
+
+def _refusal(error: CycloptsError) -> Any:
+    """What is wrong with a command line, and the remedy if an option got several values."""
+    several = isinstance(error, UnusedCliTokensError) and "=" in " ".join(error.unused_tokens or ())
+    remedy = "An option takes one value; repeat it for each: --set a=1 --set b=2" if several else ""
+    return Group(CycloptsPanel(error), remedy) if several else CycloptsPanel(error)
+
+
 app: App = App(
     name="vam",
     help="Tomographic volumetric 3D printing: from a mesh to frames and a proof of the print.",
     version=vamgpu.__version__,
     suppress_keyboard_interrupt=False,
+    error_formatter=_refusal,
 )
 app.command(curethrough.group)
 app.command(live.group)
@@ -37,23 +48,25 @@ app.command(sweep.sweep)
 def demo(
     what: Literal["boat", "web"] = "boat", /, *, out: Path = Path("vamgpu-demo"), settings: Settings = None
 ) -> None:
-    """Print the bundled boat, or a gyroid film on an endless web, in simulation and write a report.
+    """Simulate the print of the bundled boat, or of a gyroid film on an endless web, and write a report.
 
     Args:
         what: demo to run: boat or web
         out: folder of the demo's files
     """
-    if what == "web":
-        return _demo_web(out, settings)
     from vamgpu.cli.progress import shown
-    from vamgpu.jobs.demo import demo as run
+    from vamgpu.jobs.demo import demo as vial
+    from vamgpu.jobs.demo import demo_web
 
     screen = console()
     with shown(screen) as progress:
-        done = run(out, settings or (), progress=progress)
-    show_verdict(screen, done.proven.proof.verdict)
-    show_lines(screen, done.proven.proof.lines())
-    show_lines(screen, done.proven.proof.judgement.lines())
+        done: Any = (demo_web if what == "web" else vial)(out, settings or (), progress=progress)
+    if what == "web":
+        show_web(screen, done.proven)
+    else:
+        show_verdict(screen, done.proven.proof.verdict)
+        show_rows(screen, done.proven.proof.lines())
+        show_rows(screen, done.proven.proof.judgement.lines())
     screen.print(f"job     {shown_path(done.file)}\nframes  {shown_path(done.folder)}")
     screen.print(f"report  [bold]{shown_path(done.report.resolve())}[/]")
 
@@ -62,8 +75,7 @@ def demo(
 def solve(
     job: Path, *, out: Path | None = None, start: Path | None = None, rig: Path | None = None,
     settings: Settings = None, overwrite: Overwrite = False,
-    pareto: Annotated[bool, Parameter(negative="")] = False, memory: str | None = None, cluster: str | None = None,
-    slices: Annotated[bool, Parameter(negative="")] = False,
+    pareto: Switch = False, memory: str | None = None, cluster: str | None = None, slices: Switch = False,
 ) -> None:  # fmt: skip
     """Optimize the patterns of a TOML job file and write them to a job folder, or resume a run that Ctrl-C stopped.
 
@@ -129,7 +141,7 @@ def _verdict(screen: Console, folder: Path, device: str | None, memory: str | No
             screen.print(f"[yellow]note[/]  no verdict: it needs {size(needs)} of memory; leave out --memory to get it")
             return
         found = proof.verdict
-        events.verdict(found)
+        events.verdict(found.prints, found.sentence)
         show_verdict(screen, found)
 
 
@@ -170,25 +182,20 @@ def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
 
 
 @app.command
-def limits(machine: Path, *, png: Path | None = None, settings: Settings = None) -> None:
+def limits(machine: Path, *, settings: Settings = None) -> None:
     """Show the maximum speed of a web machine, and what limits it.
 
     Args:
         machine: the TOML file with the machine's tables, such as that of a web job
-        png: a picture of the limits
     """
     from vamgpu.jobs.limits import read_limits
     from vamgpu.webs.limits_table import lines
 
     found = read_limits(machine, settings or ())
     screen = console()
-    show_lines(screen, lines(found), 16)
+    show_rows(screen, lines(found), 16)
     for reason in found.broken:
         screen.print(f"[yellow]cannot[/] {escape(reason)}")
-    if png is not None:
-        from vamgpu.webs.limits_picture import draw
-
-        screen.print(f"drew [bold]{shown_path(draw(found, png))}[/]")
 
 
 @app.command
@@ -314,8 +321,6 @@ def _record(place: Path, found: dict[str, Any]) -> None:
 
 def _bench_job(job: Path, settings: list[str] | None, record: Path | None) -> None:
     """Show the stages of a job, with their seconds and shares."""
-    from dataclasses import asdict
-
     from vamgpu.cli.progress import STAGES
     from vamgpu.jobs.bench import stages
     from vamgpu.jobs.read import read_job
@@ -337,26 +342,21 @@ def _bench_job(job: Path, settings: list[str] | None, record: Path | None) -> No
         )
 
 
-def _demo_web(out: Path, settings: list[str] | None) -> None:
-    from vamgpu.cli.progress import shown
-    from vamgpu.jobs.demo import demo_web
-
-    screen = console()
-    with shown(screen) as progress:
-        done = demo_web(out, settings or (), progress=progress)
-    show_web(screen, done.proven)
-    screen.print(f"job     {shown_path(done.file)}\nframes  {shown_path(done.folder)}")
-    screen.print(f"report  [bold]{shown_path(done.report.resolve())}[/]")
-
-
 def _solve_web(
     job: Path, out: Path | None, settings: list[str] | None, overwrite: bool, cluster: str | None
 ) -> None:  # fmt: skip
     """Solve a web, or resume a run that was interrupted."""
     from vamgpu.cli.progress import shown
+    from vamgpu.jobs.progress import recorded
     from vamgpu.jobs.web import is_web_folder, read_web, solve_web
+    from vamgpu.storage.atomic import named
 
     checked, screen, place = read_web(job, settings or ()), console(), out or job.with_suffix(".vam")
-    with shown(screen) as progress, continued(lambda: is_web_folder(place), "without --overwrite" if overwrite else ""):
+    again = "without --overwrite" if overwrite else ""
+    with (
+        recorded(named(place), "solve", job=checked.given) as events,
+        shown(screen, events) as progress,
+        continued(lambda: is_web_folder(place), again),
+    ):
         folder = solve_web(checked, place, overwrite=overwrite, cluster=cluster, progress=progress)
     screen.print(f"wrote [bold]{shown_path(folder.path)}[/]; prove it with: vam prove {shown_path(folder.path)}")

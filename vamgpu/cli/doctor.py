@@ -72,7 +72,6 @@ def _ask(arguments: list[str], limit: float) -> dict[str, Any]:
     return {"error": said[-1] if said else f"exit status {done.returncode}"}
 
 
-# ---- inside the separate process ------------------------------------------------------------------------------
 def _list() -> dict[str, Any]:
     found, missing = {"numpy": "float64 reference"}, []
     if writable() is not None:

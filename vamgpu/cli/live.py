@@ -48,7 +48,7 @@ def replay(run: Path, /) -> None:
         screen.print(f"{name:8}  {line}")
     if otherwise:
         turns = ", ".join(map(str, otherwise))
-        raise BadInput(f"{str(run)!r} decides otherwise than recorded in turns {turns}; expected the same: "
+        raise BadInput(f"{str(run)!r} reaches other decisions than its record in turns {turns}; expected the same: "
                        "replay it on the device and with the version of vamgpu that recorded it")  # fmt: skip
 
 

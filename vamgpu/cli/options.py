@@ -14,7 +14,8 @@ from vamgpu.errors import BadInput, Cancelled
 from vamgpu.storage.atomic import named
 
 Settings = Annotated[
-    list[str] | None, Parameter(name="--set", negative="", help="replace a key, as key=value; key= removes it")
+    list[str] | None,
+    Parameter(name="--set", negative="", help="replace a key, as key=value; key= removes it; repeat it for several"),
 ]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="overwrite existing files")]
 
@@ -38,7 +39,7 @@ def console() -> Console:
 
 def solved_folder(job: Path, command: str) -> Path:
     """The folder of a job or a run, for a command. Raises `BadInput` for a job file or a mesh."""
-    if job.suffix.lower() in (".stl", ".ply", ".obj", ".3mf"):
+    if job.suffix.lower() in (".stl", ".ply", ".obj", ".3mf", ".step", ".stp"):
         raise BadInput(f"{str(job)!r} is a mesh, which has no frames; expected the folder that `vam solve` writes for "
                        "a job file that names this mesh: vam init job.toml writes one")  # fmt: skip
     if job.suffix.lower() == ".toml":

@@ -7,17 +7,19 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, Switch, Whole, console, solved_folder
-from vamgpu.errors import BadInput, DoseWarning, VamError
+from vamgpu.errors import BadInput, DoseWarning, StorageError, VamError
 from vamgpu.quantity import counted
 
 if TYPE_CHECKING:
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
 """A small boat: the demo shows the process, not the part."""
+LIVE_TURNS = 16
+"""Number of turns in which a watched print gives fresh resin the job's dose."""
 CANCELLED = 130
 """Exit status of a print that the user stopped, as of any other command."""
 JOBS = (".vam", ".zip", ".sl1", ".sl1s")
@@ -40,12 +44,49 @@ FAILED, INCOMPLETE, HELD = 1, 3, 4
 """Exit statuses of a print that failed, of one that ended with underexposed frames, and of one that is still held."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PrintOptions:
+    """Options of a print.
+
+    Args:
+        speed: speed of vials [deg/s], by default 40 or the fastest below that fits a video cable; of webs [mm/s] and of
+            slices [mm/h], by default that of the job; or with a unit, such as "9 rpm" or "48 mm/min"
+        turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
+            exposure needs, with the light dimmed to give the proved dose
+        stop: scatter density in the camera's images at which the print of a vial ends [gray levels/voxel], such as 0.35
+        out: folder of the run; by default the job's name with .run, or .dry-run for a dry run, then with -2.run, -3.run
+        resume: folder of an interrupted run to continue
+        unattended: number of times that a held print resumes by itself; by default it asks the operator
+        device: device that makes the frames; by default the best one, or NumPy for a dry run
+        dry_run: print on emulated machines with a simulated clock, for any rig; with a page in real time
+        live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
+            the number of turns in which fresh resin gets the job's dose, 16 by default
+        anyway: print a job even if its simulation fails; by default, you are asked at a terminal
+        mend: repeat frames of a vial that were cut short, in an added turn, if the proved dose and the budget of light
+            allow it
+        host: address that serves the page; other machines need a token
+    """
+
+    speed: str | None = None
+    turns: Whole = None
+    stop: float | None = None
+    out: Path | None = None
+    resume: Path | None = None
+    unattended: int = 0
+    settings: Settings = None
+    device: str | None = None
+    dry_run: Switch = False
+    live: Switch = False
+    anyway: Switch = False
+    mend: Switch = False
+    host: str = "127.0.0.1"
+
+
 @app.command(name="print")
 def print_(
-    *jobs: str, rig: str, speed: str | None = None, turns: Whole = None, stop: float | None = None,
-    out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
-    device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
-    host: str = "127.0.0.1", port: int = 0, live: Switch = False, anyway: Switch = False, mend: Switch = False,
+    *jobs: str, rig: str, given: PrintOptions = PrintOptions(), panel: Switch = False, stay: Switch = False,
+    port: int = 0,
 ) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors. "demo" makes and prints a small job; "demo live" prints one
     that a camera watches, in resin that differs from the plan.
@@ -56,69 +97,52 @@ def print_(
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: speed of vials [deg/s], by default 40 or the fastest below that fits a video cable; of webs [mm/s] and of
-            slices [mm/h], by default that of the job; or with a unit, such as "9 rpm" or "48 mm/min"
-        turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
-            exposure needs, with the light dimmed to give the proved dose
-        stop: scatter density, seen by the rig's camera, at which a vial stops [gray levels/voxel], such as 0.35
-        out: folder of the run; by default the job's name with .run, or .dry-run for a dry run, then with -2.run, -3.run
-        resume: folder of an interrupted run to continue
-        unattended: number of times that a held print resumes by itself; by default it asks the operator
-        device: device that makes the frames; by default the best one, or NumPy for a dry run
-        dry_run: print on emulated machines with a simulated clock, for any rig
         panel: serve the live page; a dry run then takes as long as a print
         stay: serve the page after the print as well, until Ctrl-C
-        host: address that serves the page; other machines need a token
         port: port of the page; by default a free one
-        live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
-            the number of turns in which fresh resin gets the job's dose, 16 by default
-        anyway: print a job although its proof does not print; by default you are asked at a terminal
-        mend: show frames of a vial that were cut short once more, in an added turn, if the proved dose and the budget
-            of light allow it
     """
     if jobs == ("demo", "live"):
-        given = dry_run or panel or settings or device or mend or any(x is not None for x in (speed, stop, resume))
-        return _live_demo(rig, turns, out, plain=not given)
+        return _live_demo(rig, given, plain=not panel)
+    from vamgpu.cli.progress import recording_board
+    from vamgpu.hosts.process.order import PrintOrder
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
+    from vamgpu.jobs.progress import recorded
+    from vamgpu.storage.atomic import named
 
-    screen, config = console(), read_rig(rig, settings or ())
-    _check_options(jobs, rig, config, out, resume, unattended, dry_run=dry_run, panel=panel, stay=stay)
-    _check_live(live, jobs, stop, mend)
-    place = resume or _place(out, jobs[0], dry_run)
+    screen, config = console(), read_rig(rig, given.settings or ())
+    _check_options(jobs, rig, config, given, panel, stay)
+    place = given.resume or _place(given.out, jobs[0], given.dry_run)
     folders = tuple(
         _demo(screen, place.with_suffix(".job")) if job == "demo" else solved_folder(Path(job), "print") for job in jobs
     )
-    exposure = planner = None
-    if live:
-        planned, planner, turns = _watching(screen, folders[0], config, turns, resume, speed, dry_run, device)
-    else:
-        turns, exposure = (turns, None) if resume is None else _begun(resume, turns)
-        with warnings.catch_warnings():
-            if stop is not None:  # its turns are the most, and the scatter decides on the dose
-                warnings.simplefilter("ignore", DoseWarning)
-            planned = plan(
-                folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure
-            )
-    exposure = False if planned.dose is None else planned.dose.proved
-    if dry_run and not config.setup.emulated:  # check the rig itself as well
-        plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
-    planned = planned if stop is None else stopping(planned, stop)
-    for name, value in planned.lines():
-        screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
-    from vamgpu.hosts.process.order import PrintOrder
-    from vamgpu.hosts.records.state import Board
-
-    order = PrintOrder.of(
-        folders, config, place, speed=speed, turns=turns, exposure=exposure, stop=stop, device=device,
-        rehearsed=dry_run, resume=resume is not None, unattended=unattended, mend=mend, page=panel,
-        asks=sys.stdin.isatty(), live=planner,
-    )  # fmt: skip
-    board = Board(job=" ".join(jobs))
-    if not (planned.rehearsed or order.resume or anyway):
-        _consented(planned, order.asks)
-    with _page(screen, board, host, port, place, stay) if panel else nullcontext():
-        return _printed(screen, planned, order, board)
+    with recorded(named(place), "dry run" if given.dry_run else "print") as events:
+        board = recording_board(events, " ".join(jobs))
+        exposure = planner = None
+        if given.live:
+            planned, planner, turns = _watching(screen, folders[0], config, given)
+        else:
+            turns, exposure = (given.turns, None) if given.resume is None else _begun(given.resume, given.turns)
+            with warnings.catch_warnings():
+                if given.stop is not None:  # its turns are a maximum; the scatter decides on the dose
+                    warnings.simplefilter("ignore", DoseWarning)
+                planned = plan(folders, config, speed=given.speed, turns=turns, rehearsed=given.dry_run,
+                               device=given.device, exposure=exposure)  # fmt: skip
+        exposure = False if planned.dose is None else planned.dose.proved
+        if given.dry_run and not config.setup.emulated:  # check the rig itself as well
+            plan(folders, config, speed=given.speed, turns=turns, device="numpy", exposure=exposure)
+        planned = planned if given.stop is None else stopping(planned, given.stop)
+        for name, value in planned.lines():
+            _show_line(screen, name, value)
+        order = PrintOrder.of(
+            folders, config, place, speed=given.speed, turns=turns, exposure=exposure, stop=given.stop,
+            device=given.device, rehearsed=given.dry_run, resume=given.resume is not None, page=panel,
+            unattended=given.unattended, mend=given.mend, asks=sys.stdin.isatty(), live=planner,
+        )  # fmt: skip
+        if not (planned.rehearsed or order.resume or given.anyway):
+            _consented(planned, order.asks)
+        with _page(screen, board, given.host, port, place, stay) if panel else nullcontext():
+            return _printed(screen, planned, order, board)
 
 
 @contextmanager
@@ -133,32 +157,34 @@ def _page(screen: Console, board: Board, host: str, port: int, place: Path, stay
 
 
 def _check_options(
-    jobs: tuple[str, ...], rig: str, config: Any, out: Path | None, resume: Path | None, unattended: int, *,
-    dry_run: bool, panel: bool, stay: bool,
-) -> None:  # fmt: skip
+    jobs: tuple[str, ...], rig: str, config: RigConfig, given: PrintOptions, panel: bool, stay: bool
+) -> None:
     """Reject options that exclude each other. Raises `BadInput`."""
     if not jobs:
         raise BadInput("there is no job; expected the folder of a job for each projector, or the word demo")
-    if resume is not None and out is not None:
+    if given.resume is not None and given.out is not None:
         raise BadInput("--out is the folder of a new run, --resume that of a run to continue; give one of them")
-    if resume is not None and (dry_run or config.setup.emulated):
+    if given.resume is not None and (given.dry_run or config.setup.emulated):
         raise BadInput("a dry run cannot be resumed; expected --resume with the rig that began the print")
     if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
         raise BadInput(f"the demo is a vial, but the rig {rig!r} prints {config.setup.rig.machine}; give a job for it")
-    if unattended < 0:
-        raise BadInput(f"--unattended is {unattended}; expected how many times a held print resumes, 0 or more")
+    if given.unattended < 0:
+        raise BadInput(f"--unattended is {given.unattended}; expected how many times a held print resumes, 0 or more")
     if stay and not panel:
         raise BadInput("--stay serves the page after the print, but there is no page; add --panel, or use vam panel")
+    if given.live and (given.stop is not None or given.mend or len(jobs) != 1):
+        raise BadInput("a print with --live takes one job, and its planner plans every turn and the end; "
+                       "leave out other jobs, --stop and --mend")  # fmt: skip
 
 
 def _consented(planned: PrintPlan, asks: bool) -> None:
-    """Ask before a real print whose proof does not print. Raises `BadInput` unless someone agrees."""
+    """Ask before a real print of a job whose simulation fails. Raises `BadInput` unless someone agrees."""
     job, faults = planned.jobs[0].path, planned.faults()
     if not faults:
         return
-    if not (asks and _agreed(f"the proof of {job} does not print: {faults}\nprint it anyway? [y/N] ")):
-        raise BadInput(f"the proof of {job!r} does not print: {faults}; expected a job that prints: correct it as `vam "
-                       f"prove {job}` says, or print it with --anyway")  # fmt: skip
+    if not (asks and _agreed(f"{job} does not print in the simulation: {faults}\nprint it anyway? [y/N]  ")):
+        raise BadInput(f"{job!r} does not print in the simulation: {faults}; expected a job that prints: correct it "
+                       f"as `vam prove {job}` says, or print it with --anyway")  # fmt: skip
 
 
 def _agreed(question: str) -> bool:
@@ -167,13 +193,6 @@ def _agreed(question: str) -> bool:
         return input(question).strip().lower() in ("y", "yes")
     except EOFError:
         return False
-
-
-def _check_live(live: bool, jobs: tuple[str, ...], stop: float | None, mend: bool) -> None:
-    """Reject options that a print with a planner does not take. Raises `BadInput`."""
-    if live and (stop is not None or mend or len(jobs) != 1):
-        raise BadInput("a print with --live takes one job, and its planner plans every turn and the end; "
-                       "leave out other jobs, --stop and --mend")  # fmt: skip
 
 
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
@@ -188,36 +207,32 @@ def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]
     return turns, None if dose is None else dose.proved
 
 
-def _watching(
-    screen: Console, job: Path, config: RigConfig, turns: int | None, resume: Path | None, speed: str | None,
-    dry_run: bool, device: str | None,
-) -> tuple[PrintPlan, LiveOrder, int]:  # fmt: skip
+def _watching(screen: Console, job: Path, config: RigConfig, given: PrintOptions) -> tuple[PrintPlan, LiveOrder, int]:
     """The plan of a print that the camera watches, new or resumed, the order of its planner, and its turns."""
     from vamgpu.hosts.live.cameras import unmeasured
     from vamgpu.hosts.live.live_print import PLACE, watched_plan
     from vamgpu.live import LiveRecord
 
-    longest = None
-    if resume is not None:
-        setup = LiveRecord(resume / PLACE).setup()
+    turns, longest = LIVE_TURNS if given.turns is None else given.turns, None
+    if given.resume is not None:
+        setup = LiveRecord(given.resume / PLACE).setup()
         turns, longest = setup.planned, setup.longest
     made = watched_plan(
-        job, config, turns=16 if turns is None else turns, longest=longest, speed=speed, rehearsed=dry_run,
-        device=device,
-    )  # fmt: skip
+        job, config, turns=turns, longest=longest, speed=given.speed, rehearsed=given.dry_run, device=given.device
+    )
     if note := unmeasured(made.planned):
         screen.print(f"camera  [yellow]{escape(note)}[/]")
     return made.planned, made.order, made.setup.longest
 
 
-def _live_demo(rig: str, turns: int | None, out: Path | None, plain: bool) -> int:
+def _live_demo(rig: str, given: PrintOptions, plain: bool) -> int:
     """Print the demo with and without monitoring; show deviations, what was found, and the outcome."""
     from vamgpu.hosts.live.live_print import live
 
-    screen, turns = console(), 16 if turns is None else turns
-    if not plain:
+    screen, turns = console(), LIVE_TURNS if given.turns is None else given.turns
+    if not plain or replace(given, turns=None, out=None) != PrintOptions():
         raise BadInput("the demo with --live takes --rig, --turns and --out; leave out the rest")
-    place = _place(out, "demo", False)
+    place = _place(given.out, "demo", False)
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.live_demo import AGED, demo_job
     from vamgpu.live import Truth
@@ -252,43 +267,24 @@ def _live_report(screen: Console, run: Path, **facts: Any) -> None:
 
 @app.command
 def panel(
-    *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
-    out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
-    device: str | None = None, dry_run: Switch = False, mend: Switch = False, attach: Path | None = None,
-    host: str = "127.0.0.1", port: int = 8521, live: Switch = False, anyway: Switch = False,
+    *jobs: str, rig: str | None = None, given: PrintOptions = PrintOptions(), attach: Path | None = None,
+    port: int = 8521,
 ) -> int:  # fmt: skip
     """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
 
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: as for ``vam print``
-        turns: as for ``vam print``
-        stop: as for ``vam print``
-        out: folder of the run
-        resume: folder of an interrupted run, to continue it
-        unattended: as for ``vam print``
-        device: as for ``vam print``
-        dry_run: print on emulated machines, for any rig, in the time that a print takes
-        mend: as for ``vam print``
         attach: folder of a run that another process is printing; watch it, or stop it
-        host: address that serves the page; other machines need a token
         port: port of the page
-        live: as for ``vam print``
-        anyway: as for ``vam print``
     """
     if attach is not None:
         if jobs or rig is not None:
             raise BadInput("--attach watches a print that is running; leave out jobs and --rig")
-        return _attached(attach, host, port)
+        return _attached(attach, given.host, port)
     if rig is None:
         raise BadInput("there is no rig; expected --rig with its TOML file or the word emulated")
-    return print_(
-        *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
-        settings=settings, device=device, dry_run=dry_run, mend=mend, panel=True, stay=True, host=host, port=port,
-        live=live,
-        anyway=anyway,
-    )  # fmt: skip
+    return print_(*jobs, rig=rig, given=given, panel=True, stay=True, port=port)
 
 
 @contextmanager
@@ -311,8 +307,6 @@ def _wait(screen: Console) -> None:
 
 def _place(out: Path | None, job: str, dry_run: bool) -> Path:
     """The folder of a run, which must not exist; by default the first free one. Raises `BadInput`, `StorageError`."""
-    from vamgpu.errors import StorageError
-
     first = Path("vamgpu-demo" if job == "demo" else job)
     if out is None and first.name in ("", ".."):
         raise BadInput(f"the job {job!r} has no name for its run; give the folder of the job, or --out")
@@ -337,7 +331,6 @@ def _demo(screen: Console, place: Path) -> Path:
 
 def _attached(run: Path, host: str, port: int) -> int:
     """Serve the page of a running print, to its end."""
-    from vamgpu.errors import VamError
     from vamgpu.hosts.panel import Panel
     from vamgpu.hosts.process.watch import attached, watched
     from vamgpu.hosts.records.state import Board, PrintState
@@ -362,7 +355,6 @@ def _attached(run: Path, host: str, port: int) -> int:
 
 def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> int:
     """Print, show the outcome, and return the exit status."""
-    from vamgpu.errors import VamError
     from vamgpu.hosts.records.account import account
     from vamgpu.hosts.records.record import read_run, timing
     from vamgpu.hosts.records.state import PrintState
@@ -402,7 +394,6 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
 
 def _onward(planned: PrintPlan, place: Path) -> str:
     """Command that continues a held print, or the reason why it cannot continue."""
-    from vamgpu.errors import VamError
     from vamgpu.hosts.rig import may_go_on
 
     if planned.rehearsed:
@@ -476,10 +467,9 @@ def _asked(screen: Console) -> Callable[[str], bool]:
 
 def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], turns: int | None, place: Path) -> None:
     """Prove vials from the gray levels that emulated resin received."""
-    from dataclasses import replace
-
-    from vamgpu.errors import StorageError
-    from vamgpu.hosts.records.proof import prove_given
+    from vamgpu.hosts.records.account import account
+    from vamgpu.hosts.records.proof import prove_given, shown_frames
+    from vamgpu.hosts.records.record import read_run
     from vamgpu.hosts.rigs.rehearsal import as_frames
     from vamgpu.jobs.run import prove
 
@@ -492,7 +482,10 @@ def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], t
         except StorageError as error:
             screen.print(f"report  none: {escape(str(error))}")
             continue
-        proof = prove_given(known.proof, as_frames(planned, seen, number), dose)
+        frames: Any = as_frames(planned, seen, number)
+        if work.travel is not None and (light := account(run := read_run(place))) is not None:
+            frames = shown_frames(run, light, known.proof, number)
+        proof = prove_given(known.proof, frames, dose)
         if proof.given is not None:
             tone = "bold" if proof.given.keeps else "yellow"
             screen.print(f"dose    [{tone}]{escape(str(proof.given))}[/]")

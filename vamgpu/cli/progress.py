@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -21,6 +22,9 @@ from rich.text import Text
 from vamgpu.jobs.progress import RunEvents
 from vamgpu.jobs.run import StageProgress
 from vamgpu.methods.plan import Step
+
+if TYPE_CHECKING:
+    from vamgpu.hosts.records.state import Board
 
 STAGES = {
     "patterns": "reading the patterns",
@@ -41,6 +45,8 @@ STAGES = {
     "survey": "finding features and voids that cannot be printed",
     "columns": "solving whole columns",
     "orientations": "solving coarsely in several orientations",
+    "plan": "planning the frames for the machine",
+    "print": "printing",
 }
 
 
@@ -62,9 +68,21 @@ def shown(console: Console, events: RunEvents | None = None) -> Iterator[StagePr
         now.finish()
 
 
-class _Now:
-    """The stage that is running."""
+def recording_board(events: RunEvents, job: str) -> Board:
+    """A board of a print that also records the share of the print that is done."""
+    from vamgpu.hosts.records.state import Board
 
+    class Recording(Board):
+        def show(self, **fields: object) -> None:
+            super().show(**fields)
+            if self.now.slots and self.now.slot:
+                events.share("print", STAGES["print"], min(1.0, (self.now.slot + 1) / self.now.slots))
+
+    events.share("plan", STAGES["plan"], 0.0)
+    return Recording(job=job)
+
+
+class _Now:
     def __init__(self, bar: Progress, console: Console, events: RunEvents | None) -> None:
         self._bar, self._console, self._events = bar, console, events
         self.look = None if events is None else events.look

@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.markup import escape
 
 if TYPE_CHECKING:
-    from vamgpu.metrics.line import Line
     from vamgpu.printing.proof import Proof
     from vamgpu.printing.verdict import Verdict
     from vamgpu.webs.proof import WebProof
@@ -34,11 +33,6 @@ def show_rows(screen: Console, rows: Iterable[tuple[str, str, str]], width: int 
     """Names, values and meanings, one line each."""
     for name, value, meaning in rows:
         screen.print(f"  {name:<27} [bold]{value:<{width}}[/] [dim]{escape(meaning)}[/]")
-
-
-def show_lines(screen: Console, lines: Iterable[Line], width: int = 22) -> None:
-    """Lines of a proof or of limits."""
-    show_rows(screen, ((line.name, line.value, line.meaning) for line in lines), width)
 
 
 def report_memory(memory: str | None, proof: Proof) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import threading
@@ -19,7 +20,7 @@ from vamgpu.cli.options import Overwrite, Settings, console
 WORKSPACE = "vamgpu-studio"
 """Folder in the home folder that is the workspace unless another one is given."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
-"""Variables of a screen on Linux; without one, a browser of the terminal would take it over."""
+"""Variables of a screen on Linux; without one, a text browser would take over the terminal."""
 
 
 @app.command
@@ -27,17 +28,19 @@ def studio(
     workspace: Path | None = None, /, *, port: int = 0, host: str = "127.0.0.1",
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
 ) -> None:  # fmt: skip
-    """Serve the page for jobs, proofs and prints on this machine, and open it; Ctrl-C ends it, and tasks go on.
+    """Serve the page for jobs, proofs and prints on this machine, and open it; Ctrl-C ends it, but tasks continue.
 
     Args:
         workspace: a folder, or a job file, mesh or job folder in it; ~/vamgpu-studio by default
         port: port of the page; by default a free one
-        host: address that serves the page, of this machine only
+        host: address that serves the page; it must be one of this machine
         browser: open the page in the browser
     """
     from vamgpu.studio.server import Studio
 
     place = Path.home() / WORKSPACE if workspace is None else workspace
+    if workspace is None:
+        place.mkdir(exist_ok=True)
     with Studio(place, host, port) as served:
         console().print(f"page    [bold]{escape(served.url)}[/]\nfolder  {escape(str(served.workspace.folder))}")
         if browser and (sys.platform != "linux" or any(map(os.environ.get, DISPLAYS))):
@@ -59,8 +62,6 @@ def orient(
         count: number of orientations
         device: where to compute; that of the job by default
     """
-    import json
-
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.orient import orientations
     from vamgpu.jobs.progress import recorded

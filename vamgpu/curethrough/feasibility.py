@@ -14,8 +14,8 @@ import numpy as np
 
 from vamgpu.curethrough.correction import Corrector
 from vamgpu.curethrough.dose import Stack
-from vamgpu.curethrough.features import Feature
 from vamgpu.curethrough.printer import Printer
+from vamgpu.curethrough.score import Group
 from vamgpu.errors import BadInput
 
 
@@ -76,12 +76,12 @@ def least_void(printer: Printer, open_dose: float | None = None) -> float:
     return float(ceil(fall - 1e-9) + ceil(rise - 1e-9))
 
 
-def fastest(printer: Printer, feature: Feature, shown: int, open_dose: float | None = None) -> float:
+def fastest(printer: Printer, feature: Group, shown: int, open_dose: float | None = None) -> float:
     """Fastest speed [mm/s] for a feature and the void behind it in ``shown`` slices, tail included; 0 if none."""
-    speed = printer.fastest((shown - feature.lower) * printer.slice_height)
-    if feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.void:
+    speed = printer.fastest((shown - feature.back) * printer.slice_height)
+    if feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.behind:
         return speed
-    # slower printing builds up faster, but level 0 adds more; the shortest void has a minimum in between
+    # slower printing builds up dose faster, but level 0 adds more: the void is shortest at a speed in between
     choices = [printer.at_speed(s) for s in np.geomspace(1e-3 * speed, speed, 400)]
-    able = [one.speed for one in choices if least_void(one, open_dose) <= feature.void]
+    able = [one.speed for one in choices if least_void(one, open_dose) <= feature.behind]
     return max(able, default=0.0)

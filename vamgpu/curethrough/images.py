@@ -112,10 +112,8 @@ def _damaged(name: str, error: Exception) -> SliceError:
 
 def encode(levels: np.ndarray, ending: str) -> bytes:
     """The bytes of gray levels, uint8 [y, x], as a file ending in .png, .tif or .tiff."""
-    return encode_png(levels) if ending.lower() == ".png" else _tiff(levels)
-
-
-def _tiff(levels: np.ndarray) -> bytes:
+    if ending.lower() == ".png":
+        return encode_png(levels)
     import tifffile
 
     stream = BytesIO()

@@ -26,6 +26,8 @@ from vamgpu.metrics.line import length
 
 GRAY_PER_DOSE = 51
 """Number of gray levels per critical dose in pictures of the dose: white is five critical doses."""
+LACKING = 0.1
+"""Share of a slice height; a feature is incomplete, or a column prints incorrectly, if more than this is wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,22 +88,27 @@ class Outcome:
     @property
     def verdict(self) -> tuple[bool, str]:
         """Whether everything prints correctly, and a sentence or two on what does not."""
+        heights = (self.after or self.before).heights
+        errors = heights.over + heights.under
+        errors = errors[errors > LACKING * self.machine.slice_height]
+        wrong, mean = errors.size, length(float(errors.mean()) if errors.size else 0.0)
+        said = f"{wrong:,} columns of pixels print incorrectly, by {mean} of height on average."
         if self.after is None:
-            error = self.before.heights.error
-            wrong = int((self.before.heights.over + self.before.heights.under > 0).sum())
-            mean = length(error / max(1, wrong))
-            text = f"{wrong:,} columns of pixels print incorrectly, by {mean} of height on average."
-            return error == 0, text
-        ratio = self.ratio
+            return wrong == 0, said
+        before, after = self.before.heights.error, self.after.heights.error
         missed, closed = (0 if found is None else int(found.sum()) for found in (self.missed, self.closed))
-        if ratio is None:
+        if after > before:
+            text = f"The correction raises height errors from {length(before)} to {length(after)}: print without it."
+        elif before == 0:
             return True, "The slices print correctly without a correction."
-        text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
+        else:
+            text = f"The correction leaves {100 * after / before:.2g} % of the height errors."
+        text += f" {said}" if wrong else ""
         if missed:
             text += f" {missed:,} features have too little space behind them for the light that they need."
         if closed:
             text += f" {closed:,} voids are too short: they stay cured at this speed and power."
-        return missed + closed == 0 and ratio < 1, text
+        return missed + closed + wrong == 0 and after <= before, text
 
     @property
     def ratio(self) -> float | None:

@@ -74,7 +74,7 @@ class MeshStack:
         return np.ascontiguousarray(levels.transpose(2, 1, 0)[:, ::-1])
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Nothing to close."""
 
     def __enter__(self) -> MeshStack:
         return self

@@ -7,20 +7,18 @@ import os
 import re
 import zipfile
 import zlib
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.cores import threads
-from vamgpu.curethrough.goo import END, encode_goo
 from vamgpu.curethrough.images import encode
-from vamgpu.curethrough.stack import ARCHIVES, GooStack, ZipStack
+from vamgpu.curethrough.stack import ARCHIVES, PACKED, PackedStack, ZipStack
 from vamgpu.errors import StorageError
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.manifest import plain
@@ -33,13 +31,15 @@ WAITING = 64
 """Greatest number of slices that wait to be written; more would fill the memory if the disk is slow."""
 
 
-class Writer(ABC):
-    """Encodes slices on all processors and writes them in order; ``names`` begins with slice 0."""
+class Writer:
+    """Encodes slices on all processors and puts them in order; ``names`` begins with slice 0."""
 
-    code: Callable[[np.ndarray, str], bytes] = staticmethod(encode)
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self.names = names
+    def __init__(
+        self, names: tuple[str, ...], put: Callable[[str, bytes], object],
+        code: Callable[[np.ndarray, str], bytes] = encode,
+    ) -> None:  # fmt: skip
+        self.names: tuple[str, ...] = names
+        self._put, self._code = put, code
         self._pool = ThreadPoolExecutor(threads(), "slices")
         self._coding: deque[tuple[str, Future[bytes]]] = deque()
         self.written: int = 0
@@ -48,64 +48,25 @@ class Writer(ABC):
         """Write slices from number ``start`` on, uint8 [slice, y, x]; the caller must not change them afterwards."""
         for k, picture in enumerate(levels):
             name = self.names[start + k]
-            self._coding.append((name, self._pool.submit(self.code, picture, PurePosixPath(name).suffix)))
+            self._coding.append((name, self._pool.submit(self._code, picture, PurePosixPath(name).suffix)))
             while len(self._coding) > WAITING:
                 self._one()
-
-    def finish(self) -> None:
-        """Write the slices that still wait."""
-        while self._coding:
-            self._one()
-        self._pool.shutdown()
-
-    def drop(self) -> None:
-        """Drop the slices that still wait."""
-        self._pool.shutdown(cancel_futures=True)
 
     def _one(self) -> None:
         name, coded = self._coding.popleft()
         data = coded.result()
         self.written += len(data)
-        self.put(name, data)
+        self._put(name, data)
 
-    @abstractmethod
-    def put(self, name: str, data: bytes) -> None:
-        """Write a file."""
+    def __enter__(self) -> Writer:
+        return self
 
-
-class _Folder(Writer):
-    def __init__(self, draft: Path, names: tuple[str, ...]) -> None:
-        super().__init__(names)
-        self._draft = draft
-        for folder in {draft / PurePosixPath(name).parent for name in names}:
-            folder.mkdir(parents=True, exist_ok=True)
-
-    def put(self, name: str, data: bytes) -> None:
-        (self._draft / name).write_bytes(data)
-
-
-class _Zip(Writer):
-    def __init__(self, archive: zipfile.ZipFile, names: tuple[str, ...]) -> None:
-        super().__init__(names)
-        self._archive = archive
-
-    def put(self, name: str, data: bytes) -> None:
-        self._archive.writestr(name, data)  # pictures are already compressed
-
-
-class _Goo(Writer):
-    """Layers with the settings of the file they were read from."""
-
-    code = staticmethod(encode_goo)
-
-    def __init__(self, file: BinaryIO, source: GooStack, names: tuple[str, ...]) -> None:
-        super().__init__(names)
-        self._file, self._goo, self._count = file, source.goo, 0
-        file.write(source.goo.head(len(names)))
-
-    def put(self, name: str, data: bytes) -> None:
-        self._file.write(self._goo.layer(self._count, data))
-        self._count += 1
+    def __exit__(self, failed: type[BaseException] | None, *_: object) -> None:
+        try:
+            while self._coding and failed is None:
+                self._one()
+        finally:
+            self._pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
@@ -117,20 +78,22 @@ def writing(
     place = Path(path)
     check_place(place, source, overwrite=overwrite)
     with replacing(place, overwrite=overwrite) as draft:
-        if place.suffix.lower() == ".goo" and isinstance(source, GooStack):
+        if place.suffix.lower() in PACKED and isinstance(source, PackedStack):
+            layers = dict.fromkeys(names, b"")  # they arrive in any order
             with draft.open("wb") as file:
-                with _finished(_Goo(file, source, names)) as writer:
+                with Writer(names, layers.__setitem__, source.file.encode) as writer:
                     yield writer
-                file.write(END)
+                file.writelines(source.file.packed(list(layers.values())))
             return
         if place.suffix.lower() not in ARCHIVES:
-            draft.mkdir()
-            with _finished(_Folder(draft, names)) as writer:
+            for folder in {draft / PurePosixPath(name).parent for name in names}:
+                folder.mkdir(parents=True, exist_ok=True)
+            with Writer(names, lambda name, data: (draft / name).write_bytes(data)) as writer:
                 yield writer
             (draft / RECORD).write_text(_text(record), encoding="utf-8")
             return
         with zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
-            with _finished(_Zip(archive, names)) as writer:
+            with Writer(names, archive.writestr) as writer:  # pictures are already compressed
                 yield writer
             if place.suffix.lower() == ".zip":
                 archive.writestr(RECORD, _text(record))
@@ -138,15 +101,6 @@ def writing(
                 _take_over(archive, source, len(names))
             place_of = {name: k for k, name in enumerate(names)}
             archive.filelist.sort(key=lambda info: place_of.get(info.filename, -1))  # readers may depend on this order
-
-
-@contextmanager
-def _finished(writer: Writer) -> Iterator[Writer]:
-    try:
-        yield writer
-        writer.finish()
-    finally:
-        writer.drop()
 
 
 def made_with(path: str | Path, record: Mapping[str, Any]) -> bool:
@@ -172,7 +126,16 @@ def made_with(path: str | Path, record: Mapping[str, Any]) -> bool:
 
 
 def check_place(path: str | Path, source: object = None, *, overwrite: bool = False) -> None:
-    """Raise `StorageError` if slices must not be written: over or among the originals, or over other files."""
+    """Check that slices replace neither the originals nor other files.
+
+    Args:
+        path: A folder or a file for slices.
+        source: The stack that they are made from.
+        overwrite: Allow slices that were written before to be replaced.
+
+    Raises:
+        StorageError: Slices must not be written there.
+    """
     place = Path(path)
     origin = getattr(source, "place", None)
     if origin is not None:
@@ -184,13 +147,16 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
     held = source.others if isinstance(source, ZipStack) else ()
     if place.suffix.lower() in (".sl1", ".sl1s") and not any(info.filename == "config.ini" for info in held):
         raise StorageError(f"{str(path)!r} would lack the printer settings of an SL1 file; write a .zip or a folder")
-    if place.suffix.lower() == ".goo" and not isinstance(source, GooStack):
-        raise StorageError(f"{str(path)!r} would lack the printer settings of a .goo file; write a .zip or a folder")
+    ending, had = place.suffix.lower(), getattr(origin, "suffix", "").lower()
+    if ending in PACKED and (ending != had or not isinstance(source, PackedStack)):
+        raise StorageError(
+            f"{str(path)!r} would lack the printer settings of a {ending} file; write a .zip or a folder"
+        )
     if not os.path.lexists(place):
         return
     if not overwrite:
         raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it")
-    folder = place.suffix.lower() not in (*ARCHIVES, ".goo")
+    folder = place.suffix.lower() not in (*ARCHIVES, *PACKED)
     if folder != place.is_dir() or (folder and not (place / RECORD).is_file()):
         raise StorageError(f"{str(path)!r} exists and holds no corrected slices; choose another path")
 

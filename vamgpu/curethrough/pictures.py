@@ -24,11 +24,6 @@ MOST_DOSE = 3.0
 CHARTED = 4
 
 
-def heat(values: np.ndarray) -> np.ndarray:
-    """Values 0..1 in the colors of heat; uint8 [.., 3]."""
-    return colored(values, "magma")
-
-
 def thinned(plane: np.ndarray) -> np.ndarray:
     """A plane with at most `MOST_PIXELS` along its first two axes."""
     steps = [max(1, -(-n // MOST_PIXELS)) for n in plane.shape[:2]]
@@ -46,7 +41,7 @@ def verdict(machine: Machine, shown: np.ndarray, solid: np.ndarray) -> np.ndarra
 
 def doses(machine: Machine, shown: np.ndarray) -> np.ndarray:
     """Dose of columns [slice, column], the platform below; uint8 [.., 3]."""
-    return heat(thinned(column_doses(machine, shown)[:-1][::-1]) / MOST_DOSE)
+    return colored(thinned(column_doses(machine, shown)[:-1][::-1]) / MOST_DOSE, "magma")
 
 
 def sections(outcome: Outcome) -> list[list[Image]]:
@@ -70,7 +65,8 @@ def maps(outcome: Outcome) -> tuple[list[Image], float]:
     kinds = [(kind, name, getattr(one.heights, key)) for name, one in shown
              for kind, key in (("excess", "over"), ("missing", "under"))]  # fmt: skip
     most = max(float(values.max()) for _, _, values in kinds) or 1.0
-    drawn = [Image(picture(heat(thinned(values) / most)), f"{kind}, {name}") for kind, name, values in kinds]
+    drawn = [Image(picture(colored(thinned(values) / most, "magma")), f"{kind}, {name}")
+             for kind, name, values in kinds]  # fmt: skip
     return drawn, most
 
 

@@ -16,7 +16,7 @@ from vamgpu.curethrough.targets import NEVER, Targets, sampled
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Dose, Length, Speed, Thickness
+from vamgpu.schema.quantities import Dose, Length, Speed, Thickness, numeric
 
 
 # Curves that bound the dose inside a feature (Pritchard et al. 2019, eqs. S36 to S42), in Ω and slice heights. It
@@ -51,11 +51,8 @@ LN10 = float(np.log(10.0))
 
 def measured_levels(light: Any) -> tuple[float, ...]:
     """Light [mW/mm²] of levels 0 to 255 that never falls; else `BadInput`."""
-    try:
-        values = np.array(light, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"light is {light!r}; expected {LEVELS} numbers [mW/mm²]") from error
-    if values.shape != (LEVELS,) or not np.isfinite(values).all() or (values < 0).any():
+    values = numeric("light", light, (1,), f"{LEVELS} finite numbers [mW/mm²], one per gray level")
+    if values.shape != (LEVELS,) or (values < 0).any():
         raise BadInput(f"light has shape {values.shape}; expected {LEVELS} finite numbers ≥ 0, one per gray level")
     fall = np.flatnonzero(np.diff(values) < 0)
     if fall.size:
@@ -67,16 +64,6 @@ def measured_levels(light: Any) -> tuple[float, ...]:
     if values[-1] <= values[0]:
         raise BadInput(f"light is {values[0]:g} mW/mm² at level 0 and {values[-1]:g} at 255; expected more at 255")
     return tuple(values.tolist())
-
-
-def check_eta(slice_height: float, absorption_height: float) -> None:
-    """Raise `BadInput` if slices are so high [mm], or light falls so fast, that 10^η exceeds float32."""
-    eta = slice_height / absorption_height
-    if eta > MOST_ETA:
-        raise BadInput(
-            f"a slice is {slice_height:g} mm high, {eta:g} absorption heights; expected {MOST_ETA} at the most: "
-            "check both and their units"
-        )
 
 
 def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None = None) -> tuple[float, ...]:
@@ -116,7 +103,9 @@ class Machine(ABC):
     def _check(self, light: tuple[float, ...]) -> None:
         check(self)
         object.__setattr__(self, "light", measured_levels(light))
-        check_eta(self.slice_height, self.absorption_height)
+        if self.eta > MOST_ETA:  # 10^η would exceed float32
+            raise BadInput(f"a slice is {self.slice_height:g} mm high, {self.eta:g} absorption heights; expected at "
+                           f"most {MOST_ETA}: check both and their units")  # fmt: skip
 
     def _check_fraction(self, fraction: float) -> None:
         if not 0.0 <= fraction <= 1.0:
@@ -141,7 +130,6 @@ class Machine(ABC):
     @abstractmethod
     def doses(self) -> np.ndarray:
         """Ω that one slice of each level adds at its border; float64 [256]."""
-        ...
 
     @property
     def tolerance(self) -> float:
@@ -152,19 +140,16 @@ class Machine(ABC):
     @abstractmethod
     def reached(self) -> float:
         """Ω behind a feature at which its back side counts as cured."""
-        ...
 
     @property
     @abstractmethod
     def opened(self) -> float:
         """Ω to which a void must fall to be distinguished from its walls."""
-        ...
 
     @property
     @abstractmethod
     def tail(self) -> int:
         """Number of slices to show after the last one to give its back side its dose."""
-        ...
 
     @abstractmethod
     def between(self, fraction: float) -> tuple[float, float]:
@@ -179,7 +164,6 @@ class Machine(ABC):
         Raises:
             BadInput: The fraction is out of range.
         """
-        ...
 
     @abstractmethod
     def targets(self, profile: Profile) -> Targets:
@@ -194,7 +178,6 @@ class Machine(ABC):
         Raises:
             BadInput: No correction can help: full light cures nothing, or level 0 everything.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -282,7 +265,7 @@ class Printer(Machine):
         slices = build_up_slices(0.0, self.phi_max, self.eta)
         if not np.isfinite(slices):
             raise BadInput(
-                f"full light gives {self.phi_max:.3g} critical doses at the most; expected more than 1: "
+                f"full light gives at most {self.phi_max:.3g} critical doses; expected more than 1: "
                 f"print slower than {self.fastest():.3g} mm/s or with more light"
             )
         return ceil(slices - 1e-9)
@@ -319,13 +302,13 @@ class Printer(Machine):
         done, left = np.arange(self.sight), np.arange(ceil(reach) + 2)
         profiled = sampled(profile, done * self.slice_height, left * self.slice_height)
         bound = die_down(left, 0.0, low, eta)
-        bound[-1] = np.inf  # farther from the front than even full light asks for
+        bound[-1] = np.inf  # too far from the front to limit the dose
         inner = np.minimum(np.maximum(profiled, 1.0), np.minimum(bound, 2.0 * high))
         return Targets(inner, back)
 
     @property
     def reached(self) -> float:
-        """Ω at which the back side of a feature counts as done."""
+        """Ω at which the back side of a feature counts as cured."""
         return 1.0 - self.tolerance - 1e-6
 
     @property

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import vamgpu
 from vamgpu.curethrough import pictures
 from vamgpu.curethrough.feasibility import fastest
-from vamgpu.curethrough.features import Feature
-from vamgpu.curethrough.job import Outcome
+from vamgpu.curethrough.job import LACKING, Outcome
 from vamgpu.curethrough.printer import Printer
-from vamgpu.curethrough.score import Group, grouped, widest
+from vamgpu.curethrough.score import Group, grouped
 from vamgpu.metrics.line import length
 from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Table
 from vamgpu.units import hour, mJ_cm3, mW_cm2
@@ -25,37 +23,29 @@ COLUMNS_NOTE = (
     "Dose against height in single columns of pixels, in critical doses; shaded parts should be solid. Dose above 1 "
     "cures."
 )
-LACKING = 0.1
-"""Share of a slice height; a feature is incomplete if more than this is uncured."""
 
 
-def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:
-    """Write the page.
+def page_of(outcome: Outcome, title: str) -> Page:
+    """The page of a stack.
 
     Args:
         outcome: A modeled stack, and its correction if there is one.
-        path: The file to write, ending in .html.
-        title: The title; empty for the file's name.
-        facts: More lines of the set-up, name → value.
+        title: The title.
 
     Returns:
-        The path of the written file.
-
-    Raises:
-        StorageError: The page cannot be written.
+        The page, for `Page.write`.
     """
-    return page_of(outcome, title or Path(path).stem, facts or {}).write(path)
-
-
-def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
-    """The page of a stack."""
     after = outcome.after
     lacking = LACKING * outcome.machine.slice_height
     groups = grouped(outcome.before.features, after.features if after is not None else None, lacking)
     maps, most = pictures.maps(outcome)
     across = 4 if after is not None else 2
     sections = [Images(row, "panels", across) for row in pictures.sections(outcome)]
-    features = Table([_row(group, outcome) for group in widest(groups, ROWS)], _header(after is not None))
+    frequent = sorted(groups[:ROWS], key=lambda group: (group.front, group.back))
+    header = ("error corrected", "ratio", "lacking", "fastest") if after is not None else ("lacking",)
+    header = ("from", "to", "height", "void behind", "columns", "error uncorrected", *header)
+    features = Table([_row(group, outcome) for group in frequent], header)
+    row, column = outcome.sample.rows[outcome.sample.across][0], outcome.sample.columns[outcome.sample.along][0]
     good, said = outcome.verdict
     return Page(
         "Cure-through",
@@ -66,22 +56,15 @@ def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
         [
             Card("Columns", Chart(pictures.columns_chart(outcome)), note=COLUMNS_NOTE, wide=True),
             Card("Cross-sections", *sections, Legend(f"{pictures.MOST_DOSE:g} critical doses"),
-                 note=_sections_note(outcome), wide=True),
+                 note=f"Along row {row} and along column {column} of the pictures; the platform is below, and pixels "
+                      "are stretched to fit.", wide=True),
             Card("Height errors seen from above", Images(maps, "panels", across),
                  note=f"From 0 to {length(most)}, the same scale for all.", wide=True),
             Card("Features", features, note=_table_note(outcome, groups), wide=True),
-            Card("Set-up", Table(_setup(outcome, facts)), wide=True),
+            Card("Set-up", Table(_setup(outcome)), wide=True),
             Card("Sources", Papers((PAPER,)), wide=True),
         ],
     )  # fmt: skip
-
-
-def _sections_note(outcome: Outcome) -> str:
-    row, column = outcome.sample.rows[outcome.sample.across][0], outcome.sample.columns[outcome.sample.along][0]
-    return (
-        f"Along row {row} and along column {column} of the pictures; the platform is below, and pixels are stretched "
-        "to fit."
-    )
 
 
 def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
@@ -112,11 +95,6 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def _header(corrected: bool) -> tuple[str, ...]:
-    after = ("error corrected", "ratio", "lacking", "fastest") if corrected else ("lacking",)
-    return ("from", "to", "height", "void behind", "columns", "error uncorrected", *after)
-
-
 def _row(group: Group, outcome: Outcome) -> tuple[str, ...]:
     height = outcome.machine.slice_height
     place = (f"{group.front * height:.4g} mm", f"{group.back * height:.4g} mm")
@@ -133,8 +111,7 @@ def _fastest(group: Group, outcome: Outcome) -> str:
     machine, correction = outcome.machine, outcome.correction
     if correction is None or not isinstance(machine, Printer):
         return "–"
-    feature = Feature(group.front, group.back, group.behind, group.last)
-    speed = fastest(machine, feature, outcome.shape[0] + correction.added, correction.open_dose)
+    speed = fastest(machine, group, outcome.shape[0] + correction.added, correction.open_dose)
     return f"{speed * hour:.4g} mm/h" if speed > 0 else "none"
 
 
@@ -153,7 +130,7 @@ def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
     )
 
 
-def _setup(outcome: Outcome, facts: dict[str, str]) -> list[tuple[str, str]]:
+def _setup(outcome: Outcome) -> list[tuple[str, str]]:
     machine: Any = outcome.machine
     slices, ny, nx = outcome.shape
     rows = [
@@ -168,4 +145,4 @@ def _setup(outcome: Outcome, facts: dict[str, str]) -> list[tuple[str, str]]:
     if outcome.correction is not None:
         rows.append(("correction", f"{outcome.correction.profile}, {outcome.correction.added} slices added"
                                    f"{', dithered' if outcome.correction.dither else ''}"))  # fmt: skip
-    return [*rows, *facts.items(), ("vamgpu", vamgpu.__version__)]
+    return [*rows, ("vamgpu", vamgpu.__version__)]

@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.curethrough.spectrum import LampSpectrum
 from vamgpu.errors import BadInput, SliceWarning
 from vamgpu.geometry import positive
+from vamgpu.schema.quantities import numeric
 from vamgpu.storage.tables import read_table
 
 LN10 = float(np.log(10.0))
 TOP = 255
 LOST = 4.0
-"""Deviations by which a plug that gelled is not 0 high."""
+"""A plug should have gelled if its expected height is more than this number of standard deviations."""
 BENT = 0.01
-"""Chance of a bend by scatter alone below which heights are taken not to follow the law."""
+"""Level of significance: if scatter is less likely to bend the heights so, they do not follow the law."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Range:
 class WorkingCurve:
     """Cured height z = h_a·log10[I₀·t·ln10 / (D_gel·h_a)] fitted to plugs (Pritchard et al. 2019, eq. S1).
 
-    The likelihood counts a plug of height 0 as what it is: one that would be 0 or less high. Leaving such plugs out, or
+    The likelihood counts a plug of height 0 as censored: the curve gives it 0 or less. Leaving such plugs out, or
     fitting them as heights, makes both numbers too small.
 
     Args:
@@ -50,6 +52,7 @@ class WorkingCurve:
         spread: Standard deviation [mm] of the heights about the curve.
         plugs: Measurements used.
         uncured: How many of them did not gel.
+        lamp: Spectrum of the light; None for one wavelength. The absorption height is that of its mean absorption.
     """
 
     absorption_height: Range
@@ -58,6 +61,7 @@ class WorkingCurve:
     spread: float
     plugs: int
     uncured: int = 0
+    lamp: LampSpectrum | None = None
 
     def height(self, exposure: Any) -> np.ndarray:
         """Cured height for exposures.
@@ -69,16 +73,20 @@ class WorkingCurve:
             Height [mm], shaped as [the exposures]; negative if nothing gels.
         """
         h, gel = self.absorption_height.value, self.gel_dose.value
-        return h * np.log10(np.asarray(exposure, dtype=np.float64) * LN10 / (gel * h))
+        found = np.log10(np.asarray(exposure, dtype=np.float64) * LN10 / (gel * h))
+        return h * (found if self.lamp is None else self.lamp.depth(found))
 
     @classmethod
-    def fit(cls, exposure: Any, height: Any, confidence: float = 0.95) -> WorkingCurve:
+    def fit(
+        cls, exposure: Any, height: Any, confidence: float = 0.95, lamp: LampSpectrum | None = None
+    ) -> WorkingCurve:
         """Maximum likelihood for heights that scatter alike; intervals by its profile, also of few plugs.
 
         Args:
             exposure: I₀·t [mJ/mm²] of each plug.
             height: Height [mm] of each plug; 0 where nothing gelled.
             confidence: Share of repetitions whose interval contains the true value, between 0 and 1.
+            lamp: Spectrum of the light, if it has several wavelengths that the resin absorbs differently.
 
         Returns:
             The curve.
@@ -97,7 +105,7 @@ class WorkingCurve:
         if cured.sum() < 3 or several < 2 or (x <= 0).any() or (z < 0).any():
             raise BadInput(f"got {cured.sum()} plugs that gelled, at {several} exposures; expected 3 at 2 or more, all "
                            "> 0, and no height below 0")  # fmt: skip
-        line = _Line(np.log10(x), z, cured)
+        line = _Line(np.log10(x), z, cured, lamp)
         if line.best[1] <= 0:
             raise BadInput(f"heights change by {line.best[1]:g} mm for ten times the exposure; expected them to grow")
         level, slope = line.bounds(confidence)
@@ -107,18 +115,22 @@ class WorkingCurve:
         doses = _gel_dose(level[slope > 0], slope[slope > 0])
         high = float(doses.max()) if (slope > 0).all() else np.inf
         return cls(Range(h, float(slope.min()), float(slope.max())), Range(gel, float(doses.min()), high), confidence,
-                   line.spread, len(x), int((~cured).sum()))  # fmt: skip
+                   line.spread, len(x), int((~cured).sum()), lamp)  # fmt: skip
 
     @classmethod
-    def read(cls, path: str | Path, irradiance: float | None = None, confidence: float = 0.95) -> WorkingCurve:
+    def read(
+        cls, path: str | Path, irradiance: float | None = None, confidence: float = 0.95,
+        lamp: LampSpectrum | None = None,
+    ) -> WorkingCurve:  # fmt: skip
         """Fit a table whose header names ``height_mm`` and ``exposure_mJ_cm2``, or ``time_s`` with an irradiance.
 
-        Headers may have other names and units, such as ``Depth [µm]``; `read_table` tells what may be between cells.
+        Headers may have other names and units, such as ``Depth [µm]``; `read_table` lists what may separate cells.
 
         Args:
             path: The file.
             irradiance: I₀ [mW/mm²] if the file has only times; a column such as ``irradiance_mW_cm2`` replaces it.
             confidence: Share of repetitions whose interval contains the true value, between 0 and 1.
+            lamp: Spectrum of the light, if it has several wavelengths that the resin absorbs differently.
 
         Returns:
             The curve.
@@ -139,24 +151,27 @@ class WorkingCurve:
                 light = positive("irradiance [mW/mm²]", irradiance)
             if light is None:
                 raise BadInput(
-                    f"{table.name} gives times; add a column irradiance_mW_cm2, or say the "
+                    f"{table.name} gives times; add a column irradiance_mW_cm2, or give the "
                     'irradiance: --irradiance "10 mW/cm2", in Python irradiance=0.1 [mW/mm²]'
                 )
             dose = seconds * light
-        return cls.fit(dose, height, confidence)
+        return cls.fit(dose, height, confidence, lamp)
 
 
 class _Line:
-    """The line z = c + h·log10 x of greatest likelihood through heights that scatter alike, if z > 0."""
+    """The line z = c + h·log10 x of greatest likelihood through heights that scatter alike, if z > 0.
 
-    def __init__(self, x: np.ndarray, z: np.ndarray, cured: np.ndarray) -> None:
+    With several wavelengths it is the curve z = h·g(log10 x + c / h), where g is `LampSpectrum.depth`.
+    """
+
+    def __init__(self, x: np.ndarray, z: np.ndarray, cured: np.ndarray, lamp: LampSpectrum | None) -> None:
         from scipy.optimize import minimize
 
-        self.x, self.z, self.cured, self.n = x, z, cured, int(cured.sum())
+        self.x, self.z, self.cured, self.n, self.lamp = x, z, cured, int(cured.sum()), lamp
         self.least = (1e-9 * float(z.max())) ** 2  # of a variance, for heights without scatter
         rows = np.stack([np.ones(self.n), x[cured]], 1)
         best, *_ = np.linalg.lstsq(rows, z[cured], rcond=None)
-        if not cured.all():
+        if not cured.all() or lamp is not None:
             start = (*best, 0.5 * np.log(self._variance(*best[:, None])[0]))
             options = {"xatol": 1e-10, "fatol": 1e-10, "maxiter": 5000}
             best = minimize(lambda p: self._loss(*p)[0], start, method="Nelder-Mead", options=options).x[:2]
@@ -185,7 +200,10 @@ class _Line:
         """Why the heights do not follow the law."""
         from scipy.stats import t as student
 
-        found, x, z = [], self.x[self.cured] - self.x[self.cured].mean(), self.z[self.cured]
+        found, z, way = [], self.z[self.cured], self.x
+        if self.lamp is not None:  # along it, heights are a line again
+            way = self.lamp.depth(self.x + self.best[0] / self.best[1])
+        x = way[self.cured] - way[self.cured].mean()
         if self.n > 4 and len(np.unique(x)) > 3:
             rows = np.stack([np.ones(self.n), x, x**2], 1)
             inverse = np.linalg.pinv(rows.T @ rows)
@@ -193,19 +211,27 @@ class _Line:
             rest = float(((z - rows @ fit) ** 2).sum()) / (self.n - 3)
             error = np.sqrt(max(rest, self.least) * inverse[2, 2])
             if 2.0 * student.sf(abs(fit[2]) / error, self.n - 3) < BENT:
-                way = "less" if fit[2] < 0 else "more"
-                found.append(f"the heights do not follow the law: they grow {way} at high exposures than at low ones; "
+                more = "less" if fit[2] < 0 else "more"
+                found.append(f"the heights do not follow the law: they grow {more} at high exposures than at low ones; "
                              "use plugs near the heights that you print, and one wavelength")  # fmt: skip
-        slope, level = np.polyfit(self.x[self.cured], z, 1)  # without the lost ones, which would widen the scatter
-        deviation = float(self._variance(*np.array([[level], [slope]]))[0]) ** 0.5
-        expected = level + slope * self.x[~self.cured]
+        slope, level = np.polyfit(way[self.cured], z, 1)  # without the lost ones, which would widen the scatter
+        deviation = max(float(((z - level - slope * way[self.cured]) ** 2).mean()), self.least) ** 0.5
+        expected = level + slope * way[~self.cured]
         if odd := int((expected > LOST * deviation).sum()):
             found.append(f"{odd} plugs of height 0 got exposures for which the curve gives up to {expected.max():.3g} "
                          "mm: were they lost? leave their lines out")  # fmt: skip
         return found
 
+    def _heights(self, level: np.ndarray, slope: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Heights (lines, plugs) of some plugs."""
+        level, slope, x = level[:, None], slope[:, None], self.x[some]
+        if self.lamp is None:
+            return level + slope * x
+        steep = np.maximum(slope, 1e-9 * self.z.max())
+        return np.where(slope > 0, steep * self.lamp.depth(x + level / steep), level + slope * x)
+
     def _variance(self, level: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        apart = self.z[self.cured] - level[:, None] - slope[:, None] * self.x[self.cured]
+        apart = self.z[self.cured] - self._heights(level, slope, self.cured)
         return np.maximum((apart**2).mean(axis=1), self.least)
 
     def _loss(self, level: Any, slope: Any, log_deviation: Any) -> np.ndarray:
@@ -213,7 +239,7 @@ class _Line:
         from scipy.special import log_ndtr
 
         level, slope, log_deviation = np.atleast_1d(level, slope, log_deviation)
-        below = (level[:, None] + slope[:, None] * self.x[~self.cured]) / np.exp(log_deviation)[:, None]
+        below = self._heights(level, slope, ~self.cured) / np.exp(log_deviation)[:, None]
         spread = 0.5 * self._variance(level, slope) * np.exp(-2.0 * log_deviation)
         return self.n * (log_deviation + spread) - log_ndtr(-below).sum(axis=1)
 
@@ -301,10 +327,7 @@ def read_gray(path: str | Path, pieces: int | None = None) -> GrayFit:
 
 def _pairs(x: Any, y: Any, name_x: str, name_y: str) -> tuple[np.ndarray, np.ndarray]:
     """Two rows of finite numbers of equal length, else `BadInput`."""
-    try:
-        one, two = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{name_x} and {name_y} must be numbers: {error}") from error
-    if one.ndim != 1 or one.shape != two.shape or not one.size or not (np.isfinite(one) & np.isfinite(two)).all():
-        raise BadInput(f"got {one.shape} {name_x} and {two.shape} {name_y}; expected the same number of each, finite")
+    one, two = numeric(name_x, x), numeric(name_y, y)
+    if one.shape != two.shape:
+        raise BadInput(f"got {one.shape} {name_x} and {two.shape} {name_y}; expected the same number of each")
     return one, two

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -178,8 +177,3 @@ def ratio(before: Features, after: Features) -> tuple[float, float]:
     total = float(before.error.sum())
     middle = float(np.median(single)) if len(single) else 0.0
     return (float(after.error.sum()) / total if total > 0 else 0.0), middle
-
-
-def widest(groups: Sequence[Group], most: int) -> tuple[Group, ...]:
-    """The groups that most columns have, sorted from the platform up."""
-    return tuple(sorted(groups[:most], key=lambda group: (group.front, group.back)))

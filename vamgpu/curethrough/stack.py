@@ -10,12 +10,14 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
+from typing import Any
 from zipfile import ZipInfo
 
 import numpy as np
 
 from vamgpu.backend.cores import threads
 from vamgpu.curethrough.buffers import SliceBuffers
+from vamgpu.curethrough.ctb import Ctb
 from vamgpu.curethrough.goo import Goo
 from vamgpu.curethrough.images import HEAD, MOST_PIXELS, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
@@ -26,15 +28,17 @@ from vamgpu.storage.reading import open_file, read_bytes
 from vamgpu.storage.zips import open_zip, unpacked
 
 ARCHIVES = (".zip", ".sl1", ".sl1s")
+PACKED: dict[str, Any] = {".goo": Goo, ".ctb": Ctb, ".cbddlp": Ctb, ".photon": Ctb}
+"""Endings of files that hold layers and settings of a printer in a format of their own."""
 AHEAD = 32
 """Number of slices that are decoded ahead while others are processed."""
 MOST_BYTES = 1 << 28
 """Upper limit of the size of a slice's file."""
-MOST_GOO = 1_000_000_000
+MOST_PACKED = 1_000_000_000
 PREVIEW = re.compile(r"(^|/)((preview|thumb)|3d\.png$)", re.IGNORECASE)
 """Pictures that slicers put beside the slices."""
 HEIGHTS = {"config.ini": r"^layerHeight\s*=\s*([0-9.eE+-]+)\s*$", "run.gcode": r"^;\s*layerHeight\s*:\s*([0-9.eE+-]+)"}
-"""Files of a zip that say the height of a layer, and how."""
+"""Files of a zip that state the layer height, and how."""
 MOST_NAME = 1000
 """Greatest number of characters of a name in a zip."""
 BLOCKS_HELD = 6
@@ -108,10 +112,9 @@ class FileStack(ABC):
             if first is None:
                 first = found
             if found != first:
-                raise SliceError(
-                    f"{self._label(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
-                    "expected all slices to be the same: export them again"
-                )
+                kind, other = (f"{one.kind} of {one.shape[1]} × {one.shape[0]} pixels" for one in (found, first))
+                raise SliceError(f"{self._label(name)} is {kind}, but {self.names[0]!r} is {other}; expected all "
+                                 "slices to be the same: export them again")  # fmt: skip
         assert first is not None
         return first.shape
 
@@ -159,7 +162,7 @@ class ZipStack(FileStack):
             raise SliceError(f"cannot read the zip {str(path)!r}: {error.strerror}; check the path") from error
         try:
             self._zip = open_zip(self._file)
-        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        except (OSError, zipfile.BadZipFile, ValueError) as error:
             self._file.close()
             raise SliceError(
                 f"cannot read the zip {str(path)!r}: {error}; it is cut off or no zip: copy or export it again"
@@ -195,30 +198,30 @@ class ZipStack(FileStack):
         self._file.close()
 
 
-class GooStack(FileStack):
-    """The layers of a .goo file. Raises `SliceError`."""
+class PackedStack(FileStack):
+    """The layers of a .goo or .ctb file. Raises `SliceError`."""
 
-    goo: Goo
+    file: Goo | Ctb
 
     def __init__(self, path: str | Path) -> None:
         place = Path(path)
         try:
-            self.goo = Goo(read_bytes(place, MOST_GOO), str(path))
+            self.file = PACKED[place.suffix.lower()](read_bytes(place, MOST_PACKED), str(path))
         except OSError as error:
             raise SliceError(f"cannot read {str(path)!r}: {error.strerror or error}; check the path") from error
-        super().__init__(place, tuple(f"layer{number:05d}.png" for number in range(self.goo.count)))
+        super().__init__(place, tuple(f"layer{number:05d}.png" for number in range(self.file.count)))
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
         raise SliceError(f"{self._label(name)} is not a separate picture; read the stack")
 
     def _decode(self, name: str, out: np.ndarray) -> None:
-        self.goo.decode(self.names.index(name), out)
+        self.file.decode(int(name[5:-4]), out)
 
     def _plane(self) -> tuple[int, int]:
-        if self.goo.shape[0] * self.goo.shape[1] > MOST_PIXELS:
-            raise SliceError(f"{str(self.place)!r} has layers of {self.goo.shape} pixels; expected {MOST_PIXELS:,} in "
+        if self.file.shape[0] * self.file.shape[1] > MOST_PIXELS:
+            raise SliceError(f"{str(self.place)!r} has layers of {self.file.shape} pixels; expected {MOST_PIXELS:,} in "
                              "all at most: check the file")  # fmt: skip
-        return self.goo.shape
+        return self.file.shape
 
 
 def open_stack(path: str | Path) -> FileStack:
@@ -238,12 +241,12 @@ def open_stack(path: str | Path) -> FileStack:
         return FolderStack(place)
     if not os.path.lexists(place):
         raise SliceError(f"there is nothing at {str(path)!r}; expected a folder of slices or a zip: check the path")
-    if place.suffix.lower() == ".goo":
-        return GooStack(place)
+    if place.suffix.lower() in PACKED:
+        return PackedStack(place)
     if place.suffix.lower() in ARCHIVES or _is_zip(place):
         return ZipStack(place)
-    raise SliceError(f"{str(path)!r} is neither a folder nor a file ending in {', '.join(ARCHIVES)} or .goo; expected "
-                     "slices: export pictures from the slicer, or check the path")  # fmt: skip
+    raise SliceError(f"{str(path)!r} is neither a folder nor a file ending in {', '.join(ARCHIVES)}, .goo or .ctb; "
+                     "expected slices: export pictures from the slicer, or check the path")  # fmt: skip
 
 
 def _is_zip(place: Path) -> bool:
@@ -255,7 +258,7 @@ def _is_zip(place: Path) -> bool:
 
 
 def layer_height(stack: object) -> float | None:
-    """Read the layer height of an SL1, a .goo file, or a zip of Chitubox.
+    """Read the layer height of an SL1, a .goo or .ctb file, or a zip of Chitubox.
 
     Args:
         stack: The slices.
@@ -263,8 +266,8 @@ def layer_height(stack: object) -> float | None:
     Returns:
         Height of a layer [mm]; None if the file does not state it.
     """
-    if isinstance(stack, GooStack):
-        return stack.goo.height
+    if isinstance(stack, PackedStack):
+        return stack.file.height
     beside = {info.filename for info in stack.others} if isinstance(stack, ZipStack) else set()
     name = next((name for name in HEIGHTS if name in beside), None)
     if name is None or not isinstance(stack, ZipStack):
@@ -308,10 +311,6 @@ def _pictures(entries: tuple[zipfile.ZipInfo, ...], place: str) -> list[str]:
             f"{place!r} holds pictures in {len(folders)} folders ({', '.join(folders[:3])}…); expected one"
         )
     return names
-
-
-def _worded(found: Header) -> str:
-    return f"{found.kind} of {found.shape[1]} × {found.shape[0]} pixels"
 
 
 def _drop(decoding: list[Future[None]]) -> None:

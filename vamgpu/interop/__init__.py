@@ -1,7 +1,5 @@
 """Operators, doses and kinetics as differentiable functions of other libraries: see `.torch` and `.jax`."""
 
-from __future__ import annotations
-
 from vamgpu.interop.functions import Differentiable, function_of
 from vamgpu.interop.proof import ProofDose
 

@@ -1,4 +1,4 @@
-"""Differentiable functions: values on a device, and derivatives by the inputs, computed from those by the value."""
+"""Differentiable functions: values on a device, and their vector–Jacobian products."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import to_read
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import BadInput
 from vamgpu.methods.joint.models import KineticModel, LinearModel, Pair
 from vamgpu.operators.compose import combine
@@ -44,7 +45,7 @@ class Differentiable(ABC):
 
     @abstractmethod
     def slopes(self, inputs: Sequence[DeviceArray], slope: DeviceArray) -> Sequence[DeviceArray]:
-        """Compute derivatives by the inputs.
+        """Compute derivatives with respect to the inputs.
 
         Args:
             inputs: Point at which to differentiate, each [space.shape].
@@ -96,6 +97,23 @@ class Kinetics(Differentiable):
         return self.model.gradient(combine(1.0, slope, 0.0, slope, self.device.empty(slope.shape)))
 
 
+class OxygenDose(Differentiable):
+    """Effective dose of patterns in a resin with oxygen; derivatives expose the patterns again."""
+
+    def __init__(self, model: OxygenModel) -> None:
+        self.model: OxygenModel = model
+        self.device: Device = model.device
+        self.spaces: tuple[Space, ...] = (model.range,)
+        self.space: Space = model.domain
+
+    def value(self, *inputs: DeviceArray) -> DeviceArray:
+        return self.model.T(inputs[0])
+
+    def slopes(self, inputs: Sequence[DeviceArray], slope: DeviceArray) -> Sequence[DeviceArray]:
+        self.model.T(inputs[0])
+        return (self.model(slope),)
+
+
 def function_of(what: Any) -> Differentiable:
     """The differentiable function of an operator or a model.
 
@@ -110,6 +128,8 @@ def function_of(what: Any) -> Differentiable:
     """
     if isinstance(what, Differentiable):
         return what
+    if isinstance(what, OxygenModel):
+        return OxygenDose(what)
     if isinstance(what, LinearOperator):
         return Linear(what)
     if isinstance(what, (KineticModel, LinearModel)):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import final
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.printing.independent_exposure import IndependentExposure
+from vamgpu.travel import at_rest
 
 
 @final
@@ -23,19 +22,14 @@ class ProofDose(LinearOperator):
         A: Gives the geometry; its tables are not used.
 
     Raises:
-        BadInput: ``A`` is no `Projection`, or no ray reaches the resin.
+        BadInput: ``A`` is no `Projection`, no ray reaches the resin, or the part travels.
     """
-
-    domain: SinogramSpace
-    range: VolumeSpace
-    device: Device
 
     def __init__(self, A: Projection) -> None:
         if not isinstance(A, Projection):
             raise BadInput(f"got {A!r}; expected a Projection, which independent rays can check")
-        self.domain = A.range  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = A.domain  # pyright: ignore[reportIncompatibleVariableOverride]
-        self.device = A.device
+        at_rest("ProofDose", A.motion)
+        self._set_spaces(A.range, A.domain, A.device)
         self._exposure = IndependentExposure(A)
 
     def __repr__(self) -> str:

@@ -26,7 +26,7 @@ from vamgpu.errors import BadInput
 from vamgpu.interop.functions import Differentiable, Linear, function_of, sent
 from vamgpu.losses.loss import Loss
 from vamgpu.operators.reductions import EVERYWHERE
-from vamgpu.operators.space import Space, require
+from vamgpu.operators.space import require
 
 
 def differentiable(what: Any) -> Callable[..., Tensor]:
@@ -69,14 +69,10 @@ def _received(function: Differentiable, inputs: tuple[Tensor, ...]) -> list[Devi
     if len(inputs) != len(function.spaces):
         raise BadInput(f"got {len(inputs)} tensors; expected {len(function.spaces)}")
     for space, tensor in zip(function.spaces, inputs, strict=True):
-        _check(space, tensor)
+        require(space, tensor, "the tensor")
+        if not tensor.is_floating_point():
+            raise BadInput(f"the tensor holds {tensor.dtype}; expected floating-point numbers: tensor.float()")
     return [to_device(function.device, tensor) for tensor in inputs]
-
-
-def _check(space: Space, tensor: Tensor) -> None:
-    require(space, tensor, "the tensor")
-    if not tensor.is_floating_point():
-        raise BadInput(f"the tensor holds {tensor.dtype}; expected floating-point numbers: tensor.float()")
 
 
 class _Applied(torch.autograd.Function):
@@ -93,8 +89,6 @@ class _Applied(torch.autograd.Function):
 
 
 class _Evaluated(torch.autograd.Function):
-    """Any other function."""
-
     @staticmethod
     def forward(ctx: Any, function: Differentiable, *inputs: Tensor) -> Tensor:
         ctx.function = function
@@ -114,8 +108,8 @@ class TensorLoss(Loss):
     """A loss written in PyTorch, which `optimize` minimizes.
 
     Args:
-        function: Of the dose and the target, tensors [x, y, z] relative to the part's dose, to a number. Voxels that do
-            not count are 0 in both.
+        function: Takes the dose and the target, tensors [x, y, z] relative to the part's dose, and returns a number.
+            Voxels that do not count are 0 in both.
     """
 
     function: Callable[[Tensor, Tensor], Tensor] = field(compare=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.diffusion import Spread
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import BadInput, JobError, OutOfMemory, StorageError
 from vamgpu.geometry import FULL_TURN, Beam, Turntable
 from vamgpu.jobs.material import diffusion_of
@@ -20,7 +22,9 @@ from vamgpu.jobs.model import (
     BodySection,
     FramesSection,
     JobFile,
+    MediumSection,
     TargetSection,
+    TravelSection,
     TurntableSection,
     WobbleSection,
 )
@@ -38,9 +42,14 @@ from vamgpu.printing.fit import check_fit
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import FIT
 from vamgpu.scene import Body, Scene
-from vamgpu.storage.tables import read_columns
+from vamgpu.scene.named import named_bodies
+from vamgpu.scene.sampled_medium import SampledMedium
+from vamgpu.storage.numpy_files import map_npy, read_npz
+from vamgpu.storage.tables import read_columns, read_table
 from vamgpu.targets import shapes
+from vamgpu.targets.mesh import load_mesh
 from vamgpu.targets.target import Target
+from vamgpu.travel import Travel
 from vamgpu.units import deg, rad
 
 SPARE = 2
@@ -50,11 +59,21 @@ ANGLES = {"angle_deg": deg, "angle_rad": rad}
 
 
 def target_of(job: Job, device: Device) -> Target:
-    """The voxels of the part, or of all bodies."""
+    """The voxels of the part, or of all bodies; with the resin above and below from which oxygen comes."""
+    target, oxygen = _target_of(job, device, None), job.file.resin.oxygen
+    given = None if oxygen is None or job.file.target.shape_of_grid else oxygen(used=0.0)
+    if given is None or any(face[0] == "z" for face in given.air) or not given.reach:
+        return target
+    nx, ny, nz = target.grid.shape
+    return _target_of(job, device, (nx, ny, nz + 2 * ceil(given.reach / target.grid.pitch)))
+
+
+def _target_of(job: Job, device: Device, shape: tuple[int, int, int] | None) -> Target:
+    """The target on a grid of a shape, by default that of the job."""
     section, scene, pitch = job.file.target, scene_of(job.file, job.folder), pitch_of(job.file)
     if scene is not None:
         return scene.target(
-            pitch=pitch, margin=section.margin, shape=section.shape_of_grid, device=device, name=job.name
+            pitch=pitch, margin=section.margin, shape=shape or section.shape_of_grid, device=device, name=job.name
         )
     return Target.from_mesh(
         source_of("target.shape", section, job.folder),
@@ -63,13 +82,14 @@ def target_of(job: Job, device: Device) -> Target:
         pitch=pitch,
         orientation=section.orientation,
         margin=section.margin,
+        shape=shape,
         device=device,
     )
 
 
 def pitch_of(file: JobFile) -> float:
     """Edge of a voxel of a job [mm]: that of the job; by default a pixel in the resin, or along z if smaller."""
-    return file.target.pitch or min(resin_pixel(_pixel(file), light_of(file)))
+    return file.target.pitch or min(resin_pixel(Beam((1, 1), file.beam.pitch), light_of(file)))
 
 
 def scene_of(file: JobFile, folder: Path) -> Scene | None:
@@ -77,17 +97,24 @@ def scene_of(file: JobFile, folder: Path) -> Scene | None:
     if not file.body:
         return None
     given = {key: getattr(file.target, key) for key in ("orientation", "origin", "void")}
-    bodies = []
+    bodies: list[Body] = []
     for number, section in enumerate(file.body):
-        fields = section.model_dump(exclude={"mesh", "shape"})
+        if section.roles is not None:
+            bodies += named_bodies(folder / str(section.mesh), section.roles, dose=section.dose, weight=section.weight)
+            continue
+        fields = section.model_dump(exclude={"mesh", "shape", "part", "roles"})
         bodies.append(Body(source_of(f"[[body]] {number + 1}, shape", section, folder), **fields))
-    return Scene(bodies, factor=file.target.factor or 1.0, **given)
+    scene = Scene(bodies, factor=file.target.factor or 1.0, **given)
+    if scene.inserts and (beside := file.without_inserts):
+        raise JobError(f"got an insert with {beside}; remove one")
+    return scene
 
 
 def source_of(key: str, section: TargetSection | BodySection, folder: Path) -> Any:
     """The file of a mesh, or a bundled shape. Raises `JobError`."""
     if section.mesh is not None:
-        return folder / section.mesh
+        part = getattr(section, "part", None)
+        return folder / section.mesh if part is None else load_mesh(folder / section.mesh, center=False, part=part)
     if section.shape not in shapes.names():
         known = ", ".join(shapes.names())
         raise JobError(f"{key}: got {section.shape!r}; expected one of {known}: correct the name")
@@ -101,11 +128,6 @@ def motion_of(section: TurntableSection, folder: Path, enough: int = MOST_ANGLES
     span, share = FULL_TURN if section.range is None else min(section.range, FULL_TURN), section.lit_share
     most = min(ceil(enough * span / FULL_TURN), section.most or MOST_ANGLES)
     return Turntable.arc(section.angles or most, span, lit_share=1.0 if share is None else share)
-
-
-def _pixel(file: JobFile) -> Beam:
-    """Light of one pixel, if the number of pixels does not matter."""
-    return Beam((1, 1), file.beam.pitch)
 
 
 def light_of(file: JobFile) -> Any:
@@ -139,20 +161,24 @@ def projection_of(
     if check is not None:
         check(target.radius)
     if motion is None:
-        motion = motion_of(file.turntable, folder, enough_angles(_pixel(file), light, target.radius))
+        motion = motion_of(file.turntable, folder, enough_angles(Beam((1, 1), file.beam.pitch), light, target.radius))
     wobble = None if file.wobble is None else wobble_of(file.wobble, motion)
     section = file.beam
     pixels = section.pixels or covering(target, light, section.pitch, wobble)
     beam = beam_of(section, pixels, folder)
+    if file.travel is not None and motion.travel is None:
+        motion = motion.along(travel_of(file.travel, motion.angles, beam, folder))
     scene = scene_of(file, folder)
     try:
         if scene is not None and scene.inserts:
             return scene.operator(target, beam, motion, vessel, device=device)
+        if file.medium is not None:
+            return medium_of(file.medium, folder).operator(target.grid, beam, motion, vessel, device=device)
         if file.light is not None:
             A: Any = Oblique(target.grid, beam, motion, light, wobble, device)
             wobble = None
         else:
-            A = Projection(target.grid, beam, motion, vessel, device, footprint=section.footprint)
+            A = Projection(target.grid, beam, motion, vessel, device)
         if file.scattering is not None:
             return ScatteringRings(A, file.scattering(), **file.scattering.beside)
         if file.defocus is not None:
@@ -167,9 +193,26 @@ def projection_of(
 
 
 def with_diffusion(file: JobFile, A: Any, folder: Path = Path()) -> Any:
-    """A job's projector with the diffusion of [resin] applied to the dose; the projector itself without diffusion."""
+    """A job's projector with the diffusion or the oxygen of [resin]; the projector itself without them."""
+    if file.resin.oxygen is not None:
+        used = file.resin.oxygen.beside["used"]
+        return OxygenModel(A, file.resin.oxygen(used=map_npy(folder / used) if isinstance(used, str) else used))
     diffusion = diffusion_of(file.resin, folder)
     return A if diffusion is None else Composed(A, Spread(A.grid, diffusion, A.device))
+
+
+def medium_of(section: MediumSection, folder: Path = Path()) -> SampledMedium:
+    """The arrays of a job's medium. Raises `StorageError`, `BadInput` for arrays that no medium has."""
+    given: dict[str, Any] = {name: getattr(section, name) for name in ("index", "absorption")}
+    for name, path in given.items():
+        if path is not None and path.lower().endswith(".npz"):
+            found = read_npz(folder / path)
+            if name not in found and (len(found) != 1 or given.keys() & found):
+                raise StorageError(f"{path!r} holds the arrays {', '.join(found)}; expected one named {name!r}")
+            given[name] = found.get(name, next(iter(found.values())))
+        elif path is not None:
+            given[name] = map_npy(folder / path)
+    return SampledMedium(section.pitch, **given, center=section.center)
 
 
 def beam_of(section: BeamSection, pixels: tuple[int, int], folder: Path) -> Beam:
@@ -185,6 +228,33 @@ def wobble_of(section: WobbleSection, motion: Turntable) -> Wobble:
     if section.radius is not None:
         return Wobble.circle(section.radius, section.phase, motion)
     return Wobble(section.across, section.along)
+
+
+def travel_of(section: TravelSection, angles: int, beam: Beam, folder: Path = Path()) -> Travel:
+    """The path of a job's part. Raises `JobError`, `StorageError` for a table that cannot be read."""
+    turns, period = section.turns or 1, section.period or 1.0
+    try:
+        if section.rise is not None:
+            height = beam.pixels[1] * beam.pitch
+            path = Travel.helix(angles, section.rise, height=height, rows=section.rows or 0, pitch=beam.pitch)
+        elif section.heights is not None:
+            table = read_table(folder / section.heights)
+            times, heights = (table.find(kind) for kind in ("time", "height"))
+            if times is None or heights is None:
+                raise table.lacks("time_s and height_um")
+            for row in np.flatnonzero(np.diff(times) <= 0.0)[:1]:
+                raise BadInput(f"line {table.lines[row + 1]} has {times[row + 1]:g} s after {times[row]:g} s; expected "
+                               "rising times")  # fmt: skip
+            path = Travel.through(times, heights, turns, angles, period)
+        elif section.density_difference is not None:
+            law = section.model_dump(include={"density_difference", "viscosity", "diameter", "start"})
+            path = Travel.sinking(turns, angles, period, **law)
+        else:
+            path = Travel.through((0.0, turns * period), (0.0, 0.0), turns, 1, period)
+    except BadInput as error:
+        named = f"heights = {section.heights!r}: " if section.heights else ""
+        raise JobError(f"[travel] {named}{error}") from error
+    return replace(path, x=section.x, y=section.y, follow=section.follow, period=section.period)
 
 
 def covering(target: Target, light: Any, pitch: float, wobble: Wobble | None) -> tuple[int, int]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 import vamgpu
@@ -14,8 +16,17 @@ from vamgpu.errors import BadInput, DeviceError, VamError, WorkerLost
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
-UNDISTURBED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-"""Start of local workers: Ctrl-C in a terminal also reaches them, but they must still return the plan."""
+START = """
+import os, signal
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+def dask_setup(worker):
+    gpus = {gpus}
+    if gpus:
+        os.environ["CUDA_VISIBLE_DEVICES"] = gpus[worker.name % len(gpus)]
+"""
+"""Start of local workers: Ctrl-C in a terminal also reaches them, but they must still return the plan. Each sees one of
+the GPUs, in turn."""
+GPUS = "/proc/driver/nvidia/gpus"
 TRIES = 100
 """Number of times that a task restarts after its worker died."""
 AHEAD = 3
@@ -34,10 +45,22 @@ def workers(where: str | None, device: str | None = None) -> Iterator[Callable[.
     if where is None:
         yield lambda function, items, ordered=False: map(function, items)  # noqa: ARG005 - they come in order
         return
+    with _alike(where, device) as client:
+        yield lambda function, items, ordered=False: _results(client, function, items, ordered=ordered)
+
+
+@contextmanager
+def _alike(where: str, device: str | None) -> Iterator[Any]:
+    """A client of workers that have this version of the library, and the device."""
+    if where.startswith("local:") and re.search("(cuda|nvidia):0*[1-9]", (device or "").lower()) and _visible_gpus():
+        raise DeviceError(
+            f"got {device!r} for workers that see one GPU each, number 0; expected a name with 0, or gpu: "
+            "CUDA_VISIBLE_DEVICES chooses the GPUs that they take in turn"
+        )
     client = _client(where)
     try:
         _refuse_unlike(client, device)
-        yield lambda function, items, ordered=False: _results(client, function, items, ordered=ordered)
+        yield client
     finally:
         client.close()
         if client.cluster is not None:
@@ -55,7 +78,8 @@ def _client(where: str) -> Any:
     except ModuleNotFoundError as error:
         raise DeviceError(f"a cluster needs Dask ({error}): pip install 'vamgpu[cluster]'") from error
     processes: dict[str, Any] = {
-        "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50, "preload": [UNDISTURBED],
+        "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50,
+        "preload": [START.format(gpus=_visible_gpus())],
     }  # fmt: skip
     try:
         if not local:
@@ -66,12 +90,18 @@ def _client(where: str) -> Any:
         raise DeviceError(f"no cluster answers at {where!r}: {error}; start its scheduler, or use local:4") from error
 
 
+def _visible_gpus() -> list[str]:
+    """NVIDIA's GPUs that this process may use, as in CUDA_VISIBLE_DEVICES."""
+    listed = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if listed is None:
+        return [str(number) for number in range(len(os.listdir(GPUS)))] if os.path.isdir(GPUS) else []
+    return [each.strip() for each in listed.split(",") if each.strip()]
+
+
 @contextmanager
 def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDevice]]:
     """The workers of a cluster as one device, which divides every field along z; see `vamgpu.backend.slabs`."""
-    client = _client(where)
-    try:
-        _refuse_unlike(client, device)
+    with _alike(where, device) as client:
         count = len(client.nthreads())
 
         def made() -> SlabDevice:
@@ -80,10 +110,6 @@ def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDe
             return SlabDevice(f"{' and '.join(kinds)} on {where}", members)
 
         yield made
-    finally:
-        client.close()
-        if client.cluster is not None:
-            client.cluster.close()
 
 
 def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteDevice:
@@ -113,25 +139,18 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
             if late:
                 raise WorkerLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
 
-    def send(orders: list[Any]) -> Callable[[], list[Any]]:
+    def send(orders: list[Any]) -> list[Any]:
         try:
             answers = actor.act(orders)
-        except Exception as error:  # noqa: BLE001 - as above
-            raise WorkerLost(f"the worker {where[0]} is lost: {error}") from error
-
-        def wait() -> list[Any]:
             while True:
-                try:
+                with suppress(TimeoutError):
                     return answers.result(timeout=LOOK)
-                except VamError:
-                    raise
-                except TimeoutError:
-                    if future.status not in ("finished", "pending") or where[0] not in client.nthreads():
-                        raise WorkerLost(f"the worker {where[0]} is lost") from None
-                except Exception as error:  # noqa: BLE001 - as above
-                    raise WorkerLost(f"the worker {where[0]} is lost: {type(error).__name__}: {error}") from error
-
-        return wait
+                if future.status not in ("finished", "pending") or where[0] not in client.nthreads():
+                    raise WorkerLost(f"the worker {where[0]} is lost")
+        except VamError:
+            raise
+        except Exception as error:  # noqa: BLE001 - as above
+            raise WorkerLost(f"the worker {where[0]} is lost: {type(error).__name__}: {error}") from error
 
     return RemoteDevice(f"slab {number} at {where[0]}", facts, send)
 

@@ -9,6 +9,7 @@ from typing import Any
 from vamgpu.errors import BadInput
 from vamgpu.jobs.model import JobFile
 from vamgpu.methods.dual import Colors, DualPlan, superpose
+from vamgpu.methods.dual.colors import Pair
 from vamgpu.methods.part import reach_of
 from vamgpu.methods.plan_folder import PlanRecord
 from vamgpu.metrics import score, score_slices
@@ -44,12 +45,13 @@ def recorded(plan: DualPlan, target: Any) -> PlanRecord:
     return PlanRecord.of(plan, (least - max(leak, 0.0)) / greatest if greatest > 0 else -1.0)
 
 
-def subtracted(proof: Proof, strength: float, A: Any, frames: Any) -> Proof:
-    """A proof of the first color, with the dose of the second subtracted."""
-    lights = (one.irradiance(A.device) for one in (proof.frames, frames))
-    dose = Colors(proof.operator, A, strength=strength).dose(*lights)
+def subtracted(proof: Proof, strength: float, rule: Any, A: Any, frames: Any) -> Proof:
+    """A proof of the first color, with the dose of the second subtracted, as their rule computes it."""
+    light = Pair(*(one.irradiance(A.device) for one in (proof.frames, frames)))
+    colors = Colors(proof.operator, A, strength=strength)
+    own, dose = (rule.dose(colors, light, finer) for finer in (False, True))
     scores = score(dose, proof.target)
     return replace(
-        proof, dose=dose, scores=scores, claimed=scores, slices=score_slices(dose, proof.target, scores), outer=None,
-        independent=False, exposure=None,
+        proof, dose=dose, scores=scores, claimed=score(own, proof.target), independent=False, exposure=None, outer=None,
+        slices=score_slices(dose, proof.target, scores),
     )  # fmt: skip

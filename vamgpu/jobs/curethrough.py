@@ -17,10 +17,10 @@ from vamgpu.curethrough.job import Outcome, correct_stack, model
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.leastsquares import StageProgress
 from vamgpu.curethrough.mesh_stack import MeshStack
-from vamgpu.curethrough.output import made_with
+from vamgpu.curethrough.output import check_place, made_with
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel, Profile
-from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
+from vamgpu.curethrough.stack import ARCHIVES, PACKED, layer_height, open_stack
 from vamgpu.errors import JobError, SliceWarning
 from vamgpu.jobs.read import CheckedJob
 from vamgpu.printing.gray import GrayCurve
@@ -55,8 +55,8 @@ class PrinterSection(Section):
 
     absorption_height: depth in which light falls to a tenth.  critical_dose: dose at which the resin solidifies.
     slice_height: height of a slice.  speed: speed of the platform.  exposure: time of each slice.  dead_zone: depth
-    that never cures.  light: irradiance of level 255.  dark: irradiance of level 0.  gray: file whose table [gray] has
-    the irradiance of the levels, down to level 0.
+    that never cures.  light: irradiance of level 255.  dark: irradiance of level 0.  gray: file with a table [gray] of
+    the irradiance of all levels, down to level 0.
     """
 
     absorption_height: Length
@@ -192,12 +192,23 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         if slices is None and section.path is None:
             return self.folder / f"{self.name}-corrected"
         place = slices if slices is not None else self.folder / str(section.path)
-        archive = place.suffix.lower() in (*ARCHIVES, ".goo")
+        archive = place.suffix.lower() in (*ARCHIVES, *PACKED)
         name = place.stem if archive else place.name
         return place.with_name(f"{name}-corrected{place.suffix if archive else ''}")
 
 
 read_curethrough: Callable[..., CurethroughJob] = CurethroughJob.read
+
+
+def check_output(
+    job: CurethroughJob, out: Path, *, slices: Path | None = None, overwrite: bool = False, report: Path | None = None
+) -> None:
+    """Check before a run whether it may write slices or doses to ``out``. Raises `StorageError`, `SliceError`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the run warns
+        opened = job.stack(slices)
+    with opened as stack:
+        check_place(out, stack, overwrite=overwrite or _unreported(out, report, _record(job, stack)))
 
 
 def model_job(

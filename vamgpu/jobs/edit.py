@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from typing import Any
 
 from vamgpu.errors import JobError
@@ -16,7 +17,8 @@ def edited(text: str, changes: Mapping[str, Any], removed: Iterable[str] = ()) -
 
     Args:
         text: Valid TOML.
-        changes: New values by key: "vial.radius", or "body.0.dose" for the first [[body]].
+        changes: New values by key: "vial.radius", or "body.0.dose" for the first [[body]]; the number of a body that
+            follows the last one adds it.
         removed: Keys and tables to remove; missing ones are ignored.
 
     Raises:
@@ -36,7 +38,8 @@ def _changed(text: str, key: str, value: Any) -> str:
     if not _set(data, path, value):
         return text
     places = key_places(text)
-    inline = next((path[:k] for k in range(1, len(path) + 1) if _value(places, path[:k]) is not None), None)
+    parts = [path[:k] for k in range(1, len(path) + 1)]
+    inline = next((part for part in parts if part in places and places[part].value is not None), None)
     if inline is None or (inline == path and value is None):
         new = _without(text, places, path) if value is None else _added(text, places, path, toml_of(value))
     else:
@@ -47,10 +50,6 @@ def _changed(text: str, key: str, value: Any) -> str:
     return new
 
 
-def _value(places: Mapping[Path, KeyPlace], path: Path) -> int | None:
-    return None if path not in places else places[path].value
-
-
 def _get(data: Any, path: Path) -> Any:
     for part in path:
         data = data[int(part)] if isinstance(data, list) else data[part]
@@ -59,12 +58,17 @@ def _get(data: Any, path: Path) -> Any:
 
 def _set(data: Any, path: Path, value: Any) -> bool:
     """Set or remove a value in parsed tables; False if there is nothing to remove. Raises `JobError`."""
-    *tables, last = path
+    last = path[-1]
     try:
-        for part in tables:
-            if isinstance(data, dict) and part not in data and value is None:
+        for part, following in pairwise(path):
+            missing = int(part) == len(data) if isinstance(data, list) else part not in data
+            if missing and value is None:
                 return False
-            data = data[int(part)] if isinstance(data, list) else data.setdefault(part, {})
+            if isinstance(data, list):
+                data += [{}] * missing
+                data = data[int(part)]
+            else:
+                data = data.setdefault(part, [] if following.isdecimal() else {})
         if value is None and isinstance(data, dict):
             return data.pop(last, None) is not None
         data[int(last) if isinstance(data, list) else last] = value
@@ -85,7 +89,8 @@ def _added(text: str, places: Mapping[Path, KeyPlace], path: Path, value: str) -
     if not table:
         return f"{_key(path)} = {value}\n{text}"
     gap = "" if not text or text.endswith("\n\n") else "\n" if text.endswith("\n") else "\n\n"
-    return f"{text}{gap}[{_key(table)}]\n{_key(path[-1:])} = {value}\n"
+    header = f"[[{_key(table[:-1])}]]" if table[-1].isdecimal() else f"[{_key(table)}]"
+    return f"{text}{gap}{header}\n{_key(path[-1:])} = {value}\n"
 
 
 def _below(text: str, end: int, line: str) -> str:

@@ -24,7 +24,7 @@ to 96 voxels in a vial, for 20 and 40 evaluations of the default and of L-BFGS."
 AFTER = 8.0
 """Time of packing, writing and the coarse verdict, in evaluations: 3 to 8 on parts of 30 to 66 voxels."""
 COMPILED = 6.0
-"""Time in which the rest of the kernels compile, 30 to 40, over that of the timed ones, if the driver keeps none."""
+"""Compile time of the other 30 to 40 kernels over that of the timed ones, if the driver caches none."""
 PASSES = 20
 """Time of the other work of an evaluation (products of pairs, losses, the window), in sums over patterns."""
 TIMED = 3

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vamgpu.curethrough.resin import GrayFit, Range, WorkingCurve, read_gray
+from vamgpu.curethrough.spectrum import LampSpectrum
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
 from vamgpu.quantity import parse
@@ -32,16 +33,12 @@ class Fitted:
         if self.resin is not None and self.critical_dose is not None:
             share, plugs = f"{100 * self.resin.confidence:g} %", self.resin.plugs
             height, gel = self.resin.absorption_height, self.resin.gel_dose
+            uncured = f", {self.resin.uncured} of them of height 0" if self.resin.uncured else ""
             found = [
                 ("absorption height", f"{height.value / um:.4g} µm", f"{_bounds(height, um)} µm with {share}"),
                 ("gel dose", f"{gel.value / mJ_cm3:.4g} mJ/cm³", f"{_bounds(gel, mJ_cm3)} mJ/cm³ with {share}"),
                 ("critical dose", f"{self.critical_dose / mJ_cm3:.4g} mJ/cm³", f"{self.gels:g} gel doses"),
-                (
-                    "spread of heights",
-                    f"{self.resin.spread / um:.3g} µm",
-                    f"of {plugs} plugs about the curve"
-                    + (f", {self.resin.uncured} of them of height 0" if self.resin.uncured else ""),
-                ),
+                ("spread of heights", f"{self.resin.spread / um:.3g} µm", f"of {plugs} plugs about the curve{uncured}"),
             ]
         if self.gray is not None:
             low, high = self.gray.intensity[0] / mW_cm2, self.gray.intensity[-1] / mW_cm2
@@ -71,7 +68,7 @@ class Fitted:
 
 def fit_files(
     plugs: Path | None, irradiance: str | None, gray: Path | None, pieces: int | None, confidence: float, gels: float,
-    out: Path | None = None,
+    out: Path | None = None, lamp: Path | None = None,
 ) -> Fitted:  # fmt: skip
     """Fit a CSV file of plugs, one of gray levels, or both. Raises `BadInput`, `StorageError`."""
     if out is not None and out.resolve() in {path.resolve() for path in (plugs, gray) if path is not None}:
@@ -84,7 +81,8 @@ def fit_files(
             light = parse(irradiance, "an irradiance")
         except ValueError as error:
             raise BadInput(f"irradiance: got {irradiance!r}; {error}") from error
-    resin = None if plugs is None else WorkingCurve.read(plugs, light, confidence)
+    spectrum = None if lamp is None else LampSpectrum.read(lamp)
+    resin = None if plugs is None else WorkingCurve.read(plugs, light, confidence, spectrum)
     return Fitted(resin, None if gray is None else read_gray(gray, pieces), positive("gels", gels))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.jobs.curethrough import EXAMPLE, CurethroughFile
+from vamgpu.jobs.cuvettes import CuvetteFile
 from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.limits import MachineFile
 from vamgpu.jobs.model import JobFile
@@ -19,9 +20,12 @@ from vamgpu.schema.explain import LEFT_OUT, NO_LIMIT, Key, explain, first_of, js
 from vamgpu.schema.noun import docs_of
 from vamgpu.schema.read import Nouns, model_in
 from vamgpu.schema.registry import families, find
+from vamgpu.schema.section import Listed
 from vamgpu.storage.reading import parse_toml
 
-FILES: dict[str, type[Any]] = {"vial": JobFile, "web": WebFile, "machine": MachineFile, "slices": CurethroughFile}
+FILES: dict[str, type[Any]] = {
+    "vial": JobFile, "web": WebFile, "machine": MachineFile, "slices": CurethroughFile, "cuvettes": CuvetteFile
+}  # fmt: skip
 """Kind of file → its model."""
 EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
 """Kind of file → a valid example."""
@@ -32,6 +36,7 @@ HEADS = {
     "web": "Jobs of an endless web",
     "machine": "Machines of a web, for `vam limits`",
     "slices": "Jobs of cure-through",
+    "cuvettes": "Readings for `vam calibrate scatter`",
 }
 
 
@@ -84,11 +89,13 @@ def commented(name: str) -> str:
         off = "# " if values is None else ""
         doc = docs_of(file, [table]).get(table, "") if model is None else first_of(model)
         lines += ["", *_remark(doc or what(field.annotation))]
-        lines.append(f"{off}[{table}]" + ("" if model is not None else f"  # {_kinds(field)}"))
+        head = f"[[{table}]]" if Listed in field.metadata else f"[{table}]"  # several tables, such as bodies
+        lines.append(off + head + ("" if model is not None else f"  # {_kinds(field)}"))
         for key in () if model is None else keys(model):
             lines += _remark(f"{key.doc or key.name}: {key.what}" if key.what else key.doc or key.name)
             known = values is not None and key.name in values
-            value = toml_of(values[key.name]) if known and values is not None else _usual(key.default)
+            usual = "…" if key.default in ("", LEFT_OUT, NO_LIMIT) else key.default
+            value = toml_of(values[key.name]) if known and values is not None else usual
             lines.append(f"{off if known else '# '}{key.name} = {value}")
     return "\n".join(lines) + "\n"
 
@@ -102,11 +109,6 @@ def _kinds(field: Any) -> str:
     nouns = next((part for part in field.metadata if isinstance(part, Nouns)), None)
     names = [] if nouns is None else [f"{family}.{kind}" for family, kind in nouns.choices]
     return f"kind = …; see vam keys {names[0]}" if names else "see vam keys"
-
-
-def _usual(default: str) -> str:
-    """A default in the form that a comment shows."""
-    return "…" if default in ("", LEFT_OUT, NO_LIMIT) else default
 
 
 def bare(key: str) -> str:
@@ -133,15 +135,18 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 def explained(name: str) -> tuple[Key, ...]:
     """List the keys of a table or a component, the components of a family, or one key."""
+    name = name.removeprefix("any ")  # the list of keys says "any vessel"
     try:
         return keys_of(name)
     except BadInput as error:
-        table, _, last = name.rpartition(".")
+        wrong, (table, _, last) = error, name.rpartition(".")
         if name in families():
             usual = families()[name].default
             nouns = ((kind, "the default" if kind == usual else "–") for kind in families()[name].nouns)
             return tuple(Key(f"{name}.{kind}", "a table", how, first_of(find(name, kind))) for kind, how in nouns)
         with suppress(BadInput):
-            if found := tuple(key for key in keys_of(table) if key.name == last):
-                return found
-        raise error
+            known = {key.name: key for key in keys_of(table)}
+            if last in known:
+                return (known[last],)
+            wrong = BadInput(f"no key {last!r} in {table}; expected one of {', '.join(known)}: correct the name")
+        raise wrong from None

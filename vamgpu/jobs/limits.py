@@ -22,7 +22,7 @@ from vamgpu.webs.display import Display
 from vamgpu.webs.limits import WebLimits
 
 Roll = Annotated[Partial, noun("wrap", kind="roller", without=("film",))]
-Depth = Annotated[Length, Field(description="depth of focus of the projector: its light is less than √2 wider")]
+Depth = Annotated[Length, Field(description="depth of focus of the projector: its light is at most √2 wider")]
 Lens = Annotated[Partial, noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})]
 """A lens that focuses in the bath of the film."""
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from vamgpu.chemistry.diffusion import Diffusion
+from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Vessel
 from vamgpu.jobs.material import with_material
 from vamgpu.methods.dual.passes import Rule
@@ -23,6 +24,7 @@ from vamgpu.schema.quantities import (
     Absorption,
     Angle,
     Count,
+    DensityDifference,
     Dose,
     ExposureTime,
     Fill,
@@ -36,11 +38,14 @@ from vamgpu.schema.quantities import (
     Quantity,
     Share,
     Thickness,
+    Time,
     Turn,
+    Viscosity,
     Wavelength,
 )
 from vamgpu.schema.read import OneOrMany, Partial, noun
 from vamgpu.schema.section import Listed, Misplaced, Named, Section
+from vamgpu.travel import Travel
 
 Row = tuple[float, float, float]
 Places = Annotated[Any, OneOrMany(Place, Annotated[tuple[Place, ...], Listed])]
@@ -49,6 +54,11 @@ TOLERANCE = {"tolerance": (Missed, 0.02)}
 Noise = Annotated[Positive, Field(description="largest error of scattered light, relative to its greatest dose")]
 Followed = Annotated[Count, Field(description="number of photons that are followed")]
 SCATTERED: dict[str, tuple[Any, float]] = {"tolerance": (Noise, 0.01), "photons": (Followed, PHOTONS)}
+Lacking: Any = Field(
+    description="share of the oxygen that is used up before the print, or an NPY file, [z] or [x, y, z]"
+)
+Used = Annotated[Any, OneOrMany(Share, Annotated[str, Named], str), Lacking]
+USED: dict[str, tuple[Any, float]] = {"used": (Used, 0.0)}
 LENGTH = Quantity("a length", least=0.0, example="25 um")
 MOST_ANGLES = 1_000_000
 """Largest number of angles per turn: more are a typing error, and would fail after minutes for lack of memory."""
@@ -63,14 +73,18 @@ class BodySection(Section):
     """One of several bodies, at the place where it was drawn; see docs/tasks.md. [target] sets the voxels for all of
     them.
 
-    mesh: file of the body (STL, PLY, OBJ, 3MF).  shape: a bundled shape in place of a mesh, such as "boat".  role:
-    requirement on its voxels.  name: name in reports.  dose: dose of gray, or dose limit of keep out, relative to the
-    dose that prints.  tolerance: allowed relative deviation of a gray dose.  weight: weight of its voxels in methods
-    that minimize a loss.  priority: voxels in an overlap belong to the body with the higher priority.  index:
-    refractive index of a transparent insert.  absorption: absorption of a transparent insert.
+    mesh: file of the body (STL, PLY, OBJ, 3MF, STEP).  part: number of the body in a 3MF file of several.  roles:
+    "names" takes all objects of a 3MF file, with the roles that their names begin with; dose is then the limit of those
+    to keep out.  shape: a bundled shape in place of a mesh, such as "boat".  role: requirement on its voxels.  name:
+    name in reports.  dose: dose of gray, or dose limit of keep out, relative to the dose that prints.  tolerance:
+    allowed relative deviation of a gray dose.  weight: weight of its voxels in methods that minimize a loss.  priority:
+    voxels in an overlap belong to the body with the higher priority.  index: refractive index of a transparent
+    insert.  absorption: absorption of a transparent insert.
     """
 
     mesh: Annotated[str | None, Named] = None
+    part: Count | None = None
+    roles: Literal["names"] | None = None
     shape: str | None = None
     role: Role = "print"
     name: str | None = None
@@ -85,6 +99,14 @@ class BodySection(Section):
     def _whole(self) -> BodySection:
         if (self.mesh is None) == (self.shape is None):
             raise ValueError('expected exactly one of mesh = "part.stl" and shape = "boat"')
+        if self.part is not None and not str(self.mesh).lower().endswith(".3mf"):
+            raise ValueError("got part; expected it only with the mesh of a 3MF file of several parts: remove it")
+        if self.roles is not None:
+            alone = sorted(self.model_fields_set - {"mesh", "roles", "dose", "weight"})
+            if alone or not str(self.mesh).lower().endswith(".3mf"):
+                raise ValueError(f"got roles with {', '.join(alone) or self.mesh}; expected the mesh of a 3MF file, at "
+                                 "most with dose and weight: remove it")  # fmt: skip
+            return self
         if (self.dose is None) == (self.role in ("gray", "keep out")):
             raise ValueError(f'role is "{self.role}"; expected dose = 0.7, say, for gray and keep out, and no dose '
                              "for other roles")  # fmt: skip
@@ -97,7 +119,7 @@ class TargetSection(Section):
     """The part: a mesh file or a bundled shape, its size and its voxels. With [[body]], the voxels are those of all
     bodies.
 
-    mesh: file of the part (STL, PLY, OBJ, 3MF).  shape: a bundled shape in place of a mesh, such as "boat".  height:
+    mesh: file of the part (STL, PLY, OBJ, 3MF, STEP).  shape: a bundled shape instead, such as "boat".  height:
     height of the part along z.  factor: scale of the part, in place of a height.  pitch: edge of a voxel; by default
     the width of a pixel in the resin.  orientation: 3 × 3 matrix that rotates the part first.  margin: number of voxels
     between the part and the rim.  shape_of_grid: number of voxels along x, y and z, with [[body]]; by default as many
@@ -148,15 +170,13 @@ class BeamSection(Section):
 
     pitch: edge of a pixel in air.  pixels: columns and rows; by default as many as the part needs.  fill: share of a
     pixel's area that is lit.  spread: standard deviation of the point spread, a length in air, "0 um" for a perfect
-    lens, or the result of `vam calibrate mtf`; by default half a pixel.  footprint: how a pixel covers a voxel:
-    "exact", by its area, or "joseph", by one ray.
+    lens, or the result of `vam calibrate mtf`; by default half a pixel.
     """
 
     pitch: PixelPitch
     pixels: Annotated[tuple[Count, Count] | None, Listed] = None
     fill: Fill = 1.0
     spread: Annotated[float | str, BeforeValidator(_length_or_file), Named] | None = None
-    footprint: Literal["exact", "joseph"] = "exact"
 
 
 def _count_or_file(value: Any) -> Any:
@@ -214,6 +234,47 @@ class WobbleSection(Section):
         return self
 
 
+class TravelSection(Section):
+    """The path of the part through all turns of the print, which frames follow.
+
+    turns: number of turns of the print; that of a helix follows. period: time of a turn. heights: CSV file of measured
+    heights above the place for which the part is solved, with columns such as time_s and height_um. density_difference:
+    density of the gelled part less that of the resin, if it sinks by Stokes's law. viscosity: viscosity of the resin.
+    diameter: diameter of a sphere that sinks as fast as the part. start: time at which it begins to sink. rise: height
+    by which the part of a helical print rises in each turn, negative if it is lowered. rows: rows of the projector's
+    image that such a part passes. x: distance from the axis along x of the vial, in straight light. y: distance along
+    y. follow: whether frames move with the part.
+    """
+
+    turns: Count | None = None
+    period: ExposureTime | None = None
+    heights: Annotated[str, Named] | None = None
+    density_difference: DensityDifference | None = None
+    viscosity: Viscosity | None = None
+    diameter: Length | None = None
+    start: Time = 0.0
+    rise: Place | None = None
+    rows: Count | None = None
+    x: Place = 0.0
+    y: Place = 0.0
+    follow: bool = True
+
+    @model_validator(mode="after")
+    def _one_law(self) -> TravelSection:
+        turned = {"turns", "period"}
+        laws = {"heights": turned, "rise": {"rows"}, "density_difference": turned | {"viscosity", "diameter"}}
+        given = [law for law in laws if getattr(self, law) is not None]
+        if len(given) > 1 or not (given or self.x or self.y):
+            raise ValueError(f"got {' and '.join(given) or 'no path'}; expected one of {', '.join(laws)}")
+        law = given[0] if given else "x and y"
+        needed, beside = laws.get(law, set()), {"density_difference": {"start"}, "x and y": turned}.get(law, set())
+        if lacks := sorted(needed - self.model_fields_set):
+            raise Misplaced(f"expected {', '.join(lacks)} with it: add it", law)
+        if others := sorted(self.model_fields_set - needed - beside - {law, "x", "y", "follow"}):
+            raise Misplaced(f"got it with {law}, whose path does not depend on it: remove it", others[0])
+        return self
+
+
 class ResinSection(Section):
     """The resin, and diffusion of its inhibitor during the exposure.
 
@@ -222,7 +283,8 @@ class ResinSection(Section):
     from the resin's viscosity.  temperature: temperature of the resin, if it is not that of its material.  exposure:
     time during which the inhibitor diffuses.  diffusion: diffusion set by numbers, in place of an inhibitor; every
     method then optimizes the dose after diffusion.  precompensate: the recipe starts from a target sharpened against
-    diffusion.
+    diffusion.  kinetics: "oxygen" for patterns that follow the oxygen of [resin.oxygen] through all turns; by default
+    the dose alone counts.  oxygen: oxygen that inhibits curing, and the turns of the print.
     """
 
     material: str | None = None
@@ -232,14 +294,36 @@ class ResinSection(Section):
     exposure: ExposureTime | None = None
     diffusion: Annotated[Diffusion, noun("diffusion")] | None = None
     precompensate: bool = False
+    kinetics: Literal["oxygen"] | None = None
+    oxygen: Annotated[Partial, noun("oxygen", without=("used",), beside=USED)] | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> ResinSection:
+        if (self.kinetics == "oxygen") != (self.oxygen is not None):
+            lacks = 'kinetics = "oxygen"' if self.kinetics is None else "[resin.oxygen] with diffusivity, turns, period"
+            raise Misplaced(f"expected {lacks} with it: add it", "oxygen" if self.oxygen else "kinetics")
+        if self.oxygen and (self.inhibitor or self.diffusion or self.precompensate):
+            raise Misplaced("got [resin.oxygen] with an inhibitor, diffusion or precompensate; expected oxygen alone, "
+                            "which diffuses: remove them", "oxygen")  # fmt: skip
         if self.inhibitor is not None and (self.material is None or self.exposure is None or self.diffusion):
             raise ValueError('expected inhibitor = "oxygen" with material and exposure = "20 s", and no diffusion')
         if self.precompensate and self.inhibitor is None and self.diffusion is None:
             raise Misplaced("expected diffusion or an inhibitor: there is nothing to compensate for", "precompensate")
         return self
+
+
+class MediumSection(Section):
+    """Arrays of index and absorption that turn with the resin, such as those of a CT scan.
+
+    index: NPY or NPZ file of refractive indices, [x, y] or [x, y, z]; by default that of the resin.  absorption: NPY or
+    NPZ file of absorption [1/mm], natural logarithm; by default that of the resin.  pitch: distance of the samples.
+    center: middle of the arrays, from the axis and the middle of the voxels.
+    """
+
+    index: Annotated[str | None, Named] = None
+    absorption: Annotated[str | None, Named] = None
+    pitch: Length
+    center: Annotated[tuple[Place, Place, Place], Listed] = (0.0, 0.0, 0.0)
 
 
 class ColorsSection(Section):
@@ -323,6 +407,8 @@ class JobFile(Section):
     vessel: Annotated[Vessel, noun("vessel")] | None = None
     light: Annotated[Rising | Vessel, noun("light", "vessel")] | None = None
     wobble: WobbleSection | None = None
+    travel: TravelSection | None = None
+    medium: MediumSection | None = None
     defocus: Annotated[Partial, noun("defocus", beside=TOLERANCE)] | None = None
     scattering: Annotated[Partial, noun("scattering", beside=SCATTERED)] | None = None
     tiles: Annotated[Partial, noun("operator", kind="tiles", without=("operator",))] | None = None
@@ -348,8 +434,9 @@ class JobFile(Section):
             raise Misplaced(f"got both [{said[0]}] and [{said[1]}]; remove one", said[1])
         if said and self.light is not None:
             raise Misplaced(f"got [{said[0]}] and [light]; expected the vessel in [light.vessel]", said[0])
-        if self.light is not None and self.beam.footprint != "exact":
-            raise Misplaced('got "joseph" and [light], whose pixels are single rays; remove it', "beam", "footprint")
+        if self.print and self.print.absorption is None and not (said or self.light or self.body):
+            raise Misplaced("is missing, and there is no vessel that states it; add the absorption of the resin",
+                            "print", "absorption")  # fmt: skip
         if self.method is not None and self.solve.method != "default":
             raise Misplaced("got a method here and [method]; remove one", "solve", "method")
         if self.solve.exposure_limit is not None and self.print is None:
@@ -361,18 +448,52 @@ class JobFile(Section):
             raise Misplaced("got [method] and [colors]; expected the rule of two colors in [colors.rule]", "method")
         if self.tolerances is not None and self.colors is not None:
             raise Misplaced("got [tolerances] and [colors]; expected tolerances only with one color", "tolerances")
+        if self.resin.oxygen and (self.tolerances or self.colors or self.solve.exposure_limit):
+            raise Misplaced("got [tolerances], [colors] or an exposure limit with oxygen, whose exposure is its turns; "
+                            "expected none of them: remove it", "resin", "oxygen")  # fmt: skip
         if self.body and not any(body.role in ("print", "gray") for body in self.body):
             raise Misplaced("got no [[body]] that prints; expected one with role print or gray", "body")
         if self.body and (self.colors is not None or self.resin.precompensate):
             raise Misplaced("got [[body]] with [colors] or precompensate; expected a single part with these", "body")
-        standing = any(body.role == "insert" for body in self.body)
-        if standing and (self.light or self.defocus or self.tiles or self.wobble):
-            raise Misplaced("got an insert with [light], [defocus], [tiles] or [wobble]; remove one", "body")
+        inserted = any(body.role == "insert" for body in self.body)
+        if self.without_inserts and inserted:
+            raise Misplaced(f"got an insert with {self.without_inserts}; remove one", "body")
+        if self.medium and (self.without_inserts or inserted or self.colors):
+            beside = "an insert" if inserted else self.without_inserts or "[colors]"
+            raise Misplaced(f"got [medium] and {beside}; expected only a vessel with it: remove one", "medium")
         beside = [name for name in ("light", "wobble", "defocus", "tiles", "colors") if getattr(self, name) is not None]
-        if self.scattering and (standing or beside):
-            other = f"[{beside[0]}]" if beside else "an insert"
-            raise Misplaced(f"got [scattering] and {other}; expected scattering in a vial and nothing else: remove one",
-                            "scattering")  # fmt: skip
+        if self.scattering and beside:
+            raise Misplaced(f"got [scattering] and [{beside[0]}]; expected scattering in a vial and nothing else: "
+                            "remove one", "scattering")  # fmt: skip
+        if self.scattering and {"anisotropy", "phase"} <= self.scattering.given.keys():
+            raise Misplaced("got a phase function, which replaces anisotropy, and anisotropy; remove one",
+                            "scattering", "phase")  # fmt: skip
         if self.resin.precompensate and not hasattr(self.method, "diffusion"):
             raise Misplaced('expected [method] kind = "recipe", which starts from the target', "resin", "precompensate")
         return self
+
+    @model_validator(mode="after")
+    def _moves(self) -> JobFile:
+        travel, beam = self.travel, self.beam
+        if travel is None:
+            return self
+        still = {"[scattering]": self.scattering, "[tiles]": self.tiles, 'kinetics = "oxygen"': self.resin.kinetics,
+                 'operator = "rings"': self.solve.operator == "rings"}  # fmt: skip
+        if found := next((name for name, given in still.items() if given), None):
+            raise Misplaced(f"got it with {found}, which does not follow a part that moves; remove one", "travel")
+        rows = travel.rows or 1
+        if beam.pixels and rows > beam.pixels[1]:
+            raise Misplaced(f"is {rows}, and the beam has {beam.pixels[1]} rows; expected the rows of the projector's "
+                            "image, at most those of the beam", "travel", "rows")  # fmt: skip
+        try:
+            if travel.rise is not None:
+                Travel.helix(1, travel.rise, height=rows * beam.pitch, rows=rows, pitch=beam.pitch)
+        except BadInput as error:
+            raise Misplaced(str(error), "travel", "rise") from error
+        return self
+
+    @property
+    def without_inserts(self) -> str:
+        """Its tables that do not stand beside inserts, in words."""
+        names = ("light", "defocus", "tiles", "wobble", "scattering", "travel")
+        return ", ".join(f"[{name}]" for name in names if getattr(self, name) is not None)

@@ -29,7 +29,7 @@ GOLDEN = np.pi * (3.0 - 5.0**0.5)
 def orientations(
     job: Job, count: int = 20, device: str | None = None, progress: StageProgress = quiet
 ) -> list[dict[str, Any]]:
-    """The orientations with the widest windows, best first, that of the job among those tried."""
+    """The orientations with the widest windows, best first; the job's own is among those tried."""
     section = job.file.target
     if job.file.body or job.file.colors is not None:
         raise BadInput("orientations are searched for a single part in one color; leave out [[body]] and [colors]")
@@ -51,7 +51,7 @@ def orientations(
 
 
 def _turned(usual: np.ndarray, count: int) -> Iterator[np.ndarray]:
-    """The job's orientation, and even ones over a hemisphere: upside down, a part prints alike."""
+    """The job's orientation, and even ones over a hemisphere: a part prints the same upside down."""
     yield usual
     for k in range(1, count):
         z = 1.0 - k / count

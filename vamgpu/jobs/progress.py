@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -21,8 +22,8 @@ from vamgpu.storage.reading import open_file, parse_json
 
 PERIOD = 0.25
 """Shortest interval between two lines on the share that is done [s]."""
-SLICES, COST = 2.0, 20.0
-"""Shortest interval between slices [s], and in the times that one takes: a run spends at most 5 % on them."""
+SLICES, COST = 0.5, 20.0
+"""Shortest interval between slices: [s], and relative to the time of one, so that they take at most 5 % of a run."""
 TRIES = 20
 """Attempts to lock the file."""
 MOST_READ = 1 << 22
@@ -48,39 +49,43 @@ class RunEvents:
 
     def __init__(self, place: Path, slices: bool = False) -> None:
         self._place, self._due, self._last, self._count = place, 0.0, -PERIOD, 0
-        self._stage, self._line, self._share = "", dict[str, Any](), 0.0
+        self._stage, self._line, self._share, self._lock = "", dict[str, Any](), 0.0, threading.RLock()
         self.look: Callable[[Slice], None] | None = self._look if slices else None
         with suppress(OSError):
             slice_path(place).unlink(missing_ok=True)
-        self._file = None
+        self._file: int | None = None
+        self._cut = b""
         with suppress(OSError):
-            self._file = os.open(events_path(place), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            for _ in range(TRIES):  # a reader that looks whether it is locked holds it for a moment
+            self._file = os.open(events_path(place), os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            for _ in range(TRIES):  # a reader that tests the lock holds it for a moment
                 if locked(self._file):
                     os.ftruncate(self._file, 0)
                     return
                 time.sleep(0.05)
-            self.close()  # another run writes the same place
+        self.close()  # another run writes the same place, or nobody can tell whether one does
 
     def say(self, event: str, **facts: Any) -> None:
-        """Add a line."""
-        if self._file is not None:
-            with suppress(OSError):
-                os.write(self._file, json.dumps({"event": event, "wall": time.time(), **facts}).encode() + b"\n")
+        """Add a whole line; several threads may call it."""
+        line = json.dumps({"event": event, "wall": time.time(), **facts}).encode() + b"\n"
+        with self._lock, suppress(OSError):
+            if self._file is not None:
+                cut = os.write(self._file, self._cut + line) < len(self._cut + line)
+                self._cut = b"\n" if cut else b""  # the disk is full: end the incomplete line
 
     def share(self, stage: str, said: str, share: float) -> None:
         """Report a stage, and the share of it that is done."""
         now = time.monotonic()
-        if stage != self._stage:
-            self.flush()
-            self._stage = stage
-            self.say("stage", stage=stage, said=said)
-        elif now - self._last < PERIOD and share < 1.0:
-            self._share = share
-            return
-        else:
-            self.say("share", share=share, **self._line)
-        self._last, self._line = now, {}
+        with self._lock:
+            if stage != self._stage:
+                self.flush()
+                self._stage = stage
+                self.say("stage", stage=stage, said=said)
+            elif now - self._last < PERIOD and share < 1.0:
+                self._share = share
+                return
+            else:
+                self.say("share", share=share, **self._line)
+            self._last, self._line = now, {}
 
     def flush(self) -> None:
         """Add the last step, if no line has it."""
@@ -92,12 +97,12 @@ class RunEvents:
         """Keep a step for the next line."""
         self._line = {name: value for name, value in asdict(step).items() if np.isfinite(value)}
 
-    def verdict(self, verdict: Any) -> None:
+    def verdict(self, prints: bool, sentence: str) -> None:
         """Report the verdict on a print."""
-        self.say("verdict", prints=verdict.prints, sentence=verdict.sentence)
+        self.say("verdict", prints=prints, sentence=sentence)
 
     def _look(self, made: Slice) -> None:
-        """Store a slice, now and then."""
+        """Store a slice if one is due."""
         began = time.monotonic()
         if began < self._due or (found := made()) is None:
             return
@@ -111,16 +116,19 @@ class RunEvents:
             self.say("slice", count=self._count)
         self._due = time.monotonic() + max(SLICES, COST * (time.monotonic() - began))
 
-    def close(self) -> None:
-        """Release the file, which tells readers that the run is over."""
+    def close(self, drop: bool = False) -> None:
+        """Release the file, which shows readers that the run is over; ``drop``: and remove it if no stage began."""
         if self._file is not None:
+            if drop and not self._stage:
+                with suppress(OSError):
+                    events_path(self._place).unlink()
             os.close(self._file)
             self._file = None
 
 
 @contextmanager
-def recorded(place: Path, command: str, slices: bool = False) -> Iterator[RunEvents]:
-    """Record a run that writes ``place``, with its warnings and its end."""
+def recorded(place: Path, command: str, slices: bool = False, job: dict[str, Any] | None = None) -> Iterator[RunEvents]:
+    """Record a run that writes ``place``, with the keys of its job, its warnings and its end."""
     events, shown = RunEvents(place, slices), warnings.showwarning
 
     def warn(message: Warning | str, *rest: Any, **named: Any) -> None:
@@ -129,7 +137,7 @@ def recorded(place: Path, command: str, slices: bool = False) -> Iterator[RunEve
 
     warnings.showwarning = warn
     status, message = 0, ""
-    events.say("began", command=command, pid=os.getpid())
+    events.say("began", command=command, pid=os.getpid(), job=job)
     try:
         yield events
     except BaseException as error:
@@ -140,12 +148,12 @@ def recorded(place: Path, command: str, slices: bool = False) -> Iterator[RunEve
         warnings.showwarning = shown
         events.flush()
         events.say("ended", status=status, message=message)
-        events.close()
+        events.close(drop=status != 0)
 
 
 @dataclass
 class RunProgress:
-    """The progress of a run, as its file tells so far; `read` continues where it stopped."""
+    """The progress of a run according to its file; `read` continues where it stopped."""
 
     place: Path
     pid: int = 0
@@ -162,6 +170,7 @@ class RunProgress:
     status: int | None = None
     message: str = ""
     verdict: dict[str, Any] | None = None
+    job: dict[str, Any] | None = None
     _since: float = 0.0
     _at: tuple[int, int] = (0, 0)  # inode and offset of what was read
 
@@ -212,7 +221,7 @@ class RunProgress:
     def _add(self, line: dict[str, Any]) -> None:
         event, wall = line["event"], float(line["wall"])
         if event == "began":
-            self.pid, self.began = int(line["pid"]), wall
+            self.pid, self.began, self.job = int(line["pid"]), wall, line.get("job")
         elif event in ("stage", "ended") and self.stage:
             self.stages.append({"stage": self.stage, "said": self.said, "seconds": wall - self._since})
         if event == "stage":

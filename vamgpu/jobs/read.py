@@ -26,7 +26,7 @@ MOST_REPORTED = 100
 KINDS = {"rig": "a rig", "target": "a job"}
 """Table by which a file of another kind is known → its kind."""
 AT_LINE = re.compile(r"at line (\d+)")
-"""Where the parser of TOML says that an error is."""
+"""Place of an error in a message of the TOML parser."""
 
 File = TypeVar("File", bound=BaseModel)
 
@@ -74,12 +74,15 @@ class Job(CheckedJob[JobFile]):
     model: ClassVar[type[JobFile]] = JobFile
 
 
+NOT_TEXT = "it is not text (a job file names a mesh in [target], or slices in [slices])"
+
+
 def read_text(path: str | Path) -> str:
     """The text of a job file. Raises `JobError`."""
     try:
         return reading.read_text(path, reading.MOST_TOML)
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text (in a job file, [target] mesh names a mesh)"
+        reason = getattr(error, "strerror", None) or NOT_TEXT
         raise JobError(f"cannot read job file {str(path)!r}: {reason}; expected a TOML file: check the path, or let "
                        "`vam init` write one") from error  # fmt: skip
 
@@ -115,7 +118,7 @@ def validated(
             needs = " and ".join(f"[{name}]" for name in KINDS if name in model.model_fields)
             raise JobError(f"{source} is the file of {what}, with a table [{table}]; expected another file"
                            f"{needs and f', with {needs}'}: check the path")  # fmt: skip
-    replaced = {_replace(data, setting) for setting in settings}
+    replaced = {_replace(data, setting, model) for setting in settings}
     if complete is not None:
         complete(data)
     try:
@@ -131,7 +134,7 @@ def validated(
 
 
 def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
-    """Whether a missing key is there under a similar name, whose own error suggests it."""
+    """Whether a missing key is there under a similar name; the error of that name then suggests it."""
     *table, name = entry["loc"] or [""]
     return entry["type"] == "missing" and any(
         other["type"] == "extra_forbidden" and list(other["loc"][:-1]) == table
@@ -139,21 +142,21 @@ def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
     )  # fmt: skip
 
 
-def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
+def _replace(data: dict[str, Any], setting: str, model: type[BaseModel]) -> tuple[str, ...]:
     """Put ``key=value`` into the data; the value is TOML (``false`` is false) or else plain text; none removes it."""
     dotted, separator, text = setting.partition("=")
     key = tuple(part.strip() for part in dotted.split("."))
     if not separator or not all(key):
         raise JobError(f"--set {setting}: expected key=value, such as --set solve.iterations=20")
-    table: Any = data
+    table, value = data, text.strip()
     for part in key[:-1]:
-        table = table.setdefault(part, {})
+        table = table.setdefault(part, {}) if value else table.get(part, {})
         if not isinstance(table, dict):
             raise JobError(f"--set {setting}: {part!r} is {table!r}, not a table; name a key of the job file")
-    if text.strip():
-        table[key[-1]] = toml_value(text.strip())
-    elif table.pop(key[-1], None) is None:
-        raise JobError(f"--set {setting}: removes a key that the file lacks; leave it out, or correct the name")
+    if value:
+        table[key[-1]] = toml_value(value)
+    elif table.pop(key[-1], None) is None and key[-1] not in list(_models(key[:-1], model, data))[-1][0].model_fields:
+        raise JobError(f"--set {setting}: removes a key that no such file has; leave it out, or correct the name")
     return key
 
 

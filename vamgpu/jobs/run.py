@@ -21,6 +21,7 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import (
     BadInput,
     Cancelled,
@@ -35,9 +36,10 @@ from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusi
 from vamgpu.jobs.cluster import slabs
 from vamgpu.jobs.colors import recolored, recorded, subtracted, superposed
 from vamgpu.jobs.estimate import expected
+from vamgpu.jobs.model import JobFile
 from vamgpu.jobs.read import Job
 from vamgpu.methods import bound, optimize
-from vamgpu.methods.choice import chosen
+from vamgpu.methods.choice import EFFECTIVE, chosen
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.plan_folder import (
@@ -63,6 +65,8 @@ from vamgpu.printing.pack import Solved, check_dither, pack
 from vamgpu.printing.placement import FIT
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.simulate import simulate
+from vamgpu.schema import write
+from vamgpu.schema.read import read
 from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Folder, check_place, digest
 from vamgpu.targets.target import Target
@@ -70,7 +74,7 @@ from vamgpu.targets.target import Target
 CHECKPOINT = 300.0
 """Interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker."""
 RARELY = 10.0
-"""Shortest interval between saved plans, in start times of the run."""
+"""Shortest interval between saved plans, relative to the time that the run takes to start."""
 TRIES = 100
 """Number of times that a run continues after workers were lost."""
 BLOCK = 1 << 26
@@ -104,7 +108,7 @@ def solve(
     for taken in (place, uv_folder(place)) if file.colors is not None else (place,):
         clear(taken)
         check_place(taken, overwrite=overwrite or is_interrupted(taken))
-    method, onward = file.method or _method(file.solve.method), start is None and not overwrite
+    method, onward = file.method or _method(file), start is None and not overwrite
     given: dict[str, Any] = {"overwrite": overwrite, "start": start, "pareto": pareto, "progress": progress}
     if cluster is None:
         return _solve(job, method, place, open_device(file.solve.device), kept=place if onward else None, **given)
@@ -171,7 +175,10 @@ def _solve(
     }  # fmt: skip
     if file.colors is not None:
         lights, record = _both(job, target, device, progress)
-        inputs |= {"plan": asdict(record), "colors": {"strength": file.colors.strength}}
+        inputs |= {
+            "plan": asdict(record),
+            "colors": {"strength": file.colors.strength, "rule": write(file.colors.rule)},
+        }
     else:
         try:
             begun = kept if kept is not None and is_interrupted(kept) else start
@@ -235,7 +242,10 @@ def _one(
     if file.resin.precompensate:  # the method itself applies diffusion to the dose
         method = replace(method, diffusion=A.inner.diffusion)
     solved = light if file.resin.precompensate else A
-    lamp = {} if file.solve.exposure_limit is None else {"exposure_limit": file.solve.exposure_limit, **_lamp(job)}
+    seconds = file.solve.exposure_limit
+    if isinstance(A, OxygenModel) and file.print is not None:
+        seconds = A.oxygen.seconds
+    lamp = {} if seconds is None else {"exposure_limit": seconds, **_lamp(job)}
     plan = optimize(
         solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
         evaluations=file.solve.evaluations, tolerances=file.tolerances, cancel=due,
@@ -349,11 +359,10 @@ def prove(
     folder, place = Folder.open(path), open_device(device)
     record, exposure, strength = _recorded(folder)
     within = tolerances_from(folder) if tolerances else None
-    if (tolerances and (within is None or strength)) or (off is not None and strength):
-        what = "two colors" if strength else "no tolerances"
-        raise BadInput(f"{str(path)!r} has {what}; expected a job with [tolerances] and one color")
-    if evaluations and strength:
-        raise BadInput(f"{str(path)!r} has two colors, for which there is no bound; prove it without --bound")
+    if strength and (tolerances or evaluations or off is not None):
+        raise BadInput(f"{str(path)!r} has two colors; prove it without --bound, --tolerances and --off")
+    if tolerances and within is None:
+        raise BadInput(f"{str(path)!r} has no tolerances; solve it again with [tolerances], or leave out --tolerances")
     progress("read", 0.0)
     try:
         A = operator_from(folder, place)
@@ -362,21 +371,24 @@ def prove(
         frames = frames_of(folder, place)
         progress("proof", 0.0)
         settings: dict[str, Any] = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
+        if isinstance(A, OxygenModel) and (evaluations or off is not None):
+            raise BadInput(f"{str(path)!r} models oxygen; prove it without --bound and --off")
         if off is not None:
             usual = simulate(A, frames, target, **settings, **exposure).scores.threshold
             A, settings["threshold"] = at(A, off), usual / (1.0 + off.dose)
-        proof = replace(simulate(A, frames, target, **settings, **exposure), history=record.history)
+        proof = replace(simulate(A, frames, target, **settings, **exposure), history=record.history, off=off)
         if evaluations:
             progress("bound", 0.0)
             most = evaluations * (len(within.corners()) if within is not None else 1)
             widest = bound(A, target, evaluations=most, tolerances=within, slices=slices,
-                           progress=_spent(progress, most))  # fmt: skip
+                           progress=lambda step: progress("bound", min(step.evaluations / most, 1.0)))  # fmt: skip
             proof = replace(proof, bound=widest)
         if within is not None:
             proof = replace(proof, corners=prove_corners(A, frames, target, within))
         if strength and not coarse and os.path.exists(uv_folder(Path(path))):
             beside = Folder.open(uv_folder(Path(path)))
-            proof = subtracted(proof, strength, operator_from(beside, place), frames_of(beside, place))
+            rule = read("rule", (folder.manifest.inputs["colors"] or {}).get("rule") or {}, units=False)
+            proof = subtracted(proof, strength, rule, operator_from(beside, place), frames_of(beside, place))
     except MemoryError as error:
         raise OutOfMemory(f"the patterns of {str(path)!r} need more memory than there is: {error}; check its manifest, "
                           "or prove it on a larger machine") from error  # fmt: skip
@@ -415,14 +427,11 @@ def uv_folder(path: Path) -> Path:
     return path.with_name(f"{path.stem}-uv{path.suffix}")
 
 
-def _method(name: str) -> Any:
-    """The method of that name with its default parameters."""
+def _method(file: JobFile) -> Any:
+    """The method that a job names, with its default parameters."""
+    if file.resin.oxygen is not None and file.solve.method == "default":
+        return EFFECTIVE
     try:
-        return chosen(name)
+        return chosen(file.solve.method)
     except BadInput as error:
         raise JobError(f"solve.method: {error}") from None
-
-
-def _spent(progress: StageProgress, evaluations: float) -> Callable[[Step], None]:
-    """The steps of a bound as a share of its evaluations."""
-    return lambda step: progress("bound", min(step.evaluations / evaluations, 1.0))

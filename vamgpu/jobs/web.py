@@ -20,9 +20,8 @@ from vamgpu.methods.bclp import BCLP
 from vamgpu.metrics.contrast import contrast
 from vamgpu.metrics.limited_angle_dose import limited_dose, random_plane, responded
 from vamgpu.optics.film import Film
-from vamgpu.optics.roller import Roller
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.schema.quantities import Count, Length, NonNegative, Positive, Speed
+from vamgpu.schema.quantities import Count, Length, NonNegative, PixelPitch, Positive, Speed
 from vamgpu.schema.read import noun
 from vamgpu.schema.section import Misplaced, Named, Section
 from vamgpu.storage.atomic import check_folder
@@ -84,7 +83,7 @@ class WebBeam(Section):
     pitch: edge of a pixel in the bath.  height: height of the light.
     """
 
-    pitch: Length
+    pitch: PixelPitch
     height: Length
 
 
@@ -161,7 +160,7 @@ def is_web_folder(path: str | Path) -> bool:
 def stream_of(job: WebJob) -> Stream:
     """The stream of a job. Raises `JobError`, `BadInput`, `MeshError`, `StorageError`, `DeviceError`."""
     file = job.file
-    roller = roller_of(file)
+    roller = file.roller(film=file.film)
     pitch = file.beam.pitch
     beam = roller.beam(pitch, max(1, round(file.beam.height / pitch)))
     return Stream(
@@ -179,11 +178,6 @@ def stream_of(job: WebJob) -> Stream:
         speed=file.web.speed,
         device=file.solve.device,
     )
-
-
-def roller_of(file: WebFile) -> Roller:
-    """The machine of a job."""
-    return file.roller(film=file.film)
 
 
 def target_of(job: WebJob) -> Any:

@@ -21,10 +21,8 @@ STEEPEST = 1e-3
 class Border:
     """Neighbor pairs across the part's surface, and the distance from halfway at which the dose crosses a threshold."""
 
-    threshold: float
-
     def __init__(self, part: np.ndarray, threshold: float) -> None:
-        self.threshold = threshold
+        self.threshold: float = threshold
         inside = part >= 0.5
         self._shape, self._places = part.shape, dict[Device, DeviceArray]()
         number = np.arange(part.size).reshape(part.shape)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from threading import local
 from typing import Any, final
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.compose import Derived, inherit
 from vamgpu.operators.linear import LinearOperator
@@ -23,18 +21,14 @@ class CalibratedProjection(Derived):
     operator: LinearOperator
     height: float
     across: float
-    domain: Any
-    range: Any
-    device: Device
-    gain: DeviceArray
 
     def __init__(self, operator: LinearOperator, gain: Any, height: float = 0.0, across: float = 0.0) -> None:
         require(operator.domain, gain, "the gain")
         self.operator, self.height, self.across = operator, float(height), float(across)
-        self.domain, self.range, self.device = operator.domain, operator.range, operator.device
+        self._set_spaces(operator.domain, operator.range, operator.device)
         inherit(self, operator)
-        self.gain = gain if isinstance(gain, DeviceArray) else self.device.upload(gain)
-        self._shift, self._held = None, local()
+        self.gain: DeviceArray = gain if isinstance(gain, DeviceArray) else self.device.upload(gain)
+        self._shift = None
         if height or across:
             moves = np.tile(np.array([-across, height]) / self.beam.pitch, (self.range.shape[0], 1))
             self._shift = Shift(self.device, moves, self.beam.pixels, self.beam.pixels)
@@ -58,10 +52,3 @@ class CalibratedProjection(Derived):
             self._shift.back(y, self._tapers, moved)
         self.operator.transposed(moved, out)
         self.device.launch(multiply, x=out, y=self.gain, out=out)
-
-    def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """A reusable work field: allocating memory takes several times as long as one pass over it."""
-        held = vars(self._held)  # of each thread
-        if name not in held:
-            held[name] = self.device.empty(shape)
-        return held[name]

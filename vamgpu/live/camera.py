@@ -190,7 +190,6 @@ class MonitoringCamera:
         angles, columns, rows = self.projection.range.shape
         return angles, rows, columns
 
-    # ---- images of fields -------------------------------------------------------------------------------------------
     def transmitted(self, extinction: Any, index: Any = None) -> np.ndarray:
         """The view through the vial.
 
@@ -304,7 +303,6 @@ class MonitoringCamera:
         taps /= 2.0 * taps.sum() - taps[0]
         return Blur(A.range, A.device, taps, np.ones(1) if A.beam.flat else taps)
 
-    # ---- from images to fields ---------------------------------------------------------------------------------------
     def optical_depth(self, images: Any) -> tuple[np.ndarray, np.ndarray]:
         """Optical depth of a print, and its weight.
 

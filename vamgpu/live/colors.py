@@ -96,7 +96,10 @@ class ColorReplanner:
             ShapeMismatch: An array has another geometry.
         """
         counts, allowed = allowed_turns(turns, planned), positive("evaluations", evaluations)
-        state, light = _on_device(model, delivered, plan)
+        state = SpeciesFields(*(finite(model.operators[0].domain, part, model.device, f"the {name}")
+                                for name, part in zip(SpeciesFields._fields, delivered, strict=True)))  # fmt: skip
+        light = Pair(*(finite(A.range, part, model.device, "the plan's light")
+                       for A, part in zip(model.operators, plan, strict=True)))  # fmt: skip
         now = state.effective_dose(model.resin)
         judge = OptimizerState(model.operators[0], self._fractions, {}, "loss")
         loss = self._loss(model, now, deviation).on(judge.field)
@@ -105,7 +108,8 @@ class ColorReplanner:
         rise = max(judge.part_mean(after) - before, 0.0) if planned else 0.0
         spent = 0.5 * bool(planned)
         kept, kept_loss = self._judged(planned, after, judge, loss)
-        possible = (planned in counts and self._shown(light)) or (counts[0] == 0 and not planned)
+        shown = all(extent(part)[1] <= most * (1.0 + ROUNDING) for part, most in zip(light, self.most, strict=True))
+        possible = (planned in counts and shown) or (counts[0] == 0 and not planned)
         best, best_loss = (light, kept), kept_loss if possible else np.inf
         if counts[0] == 0 and planned:
             forecast, stopped = self._judged(0, now, judge, loss)
@@ -146,9 +150,6 @@ class ColorReplanner:
                 capped(channel.ahead, most)
         return descent.light, spent
 
-    def _shown(self, light: Pair) -> bool:
-        return all(extent(part)[1] <= most * (1.0 + ROUNDING) for part, most in zip(light, self.most, strict=True))
-
     def _loss(self, model: KineticModel, now: DeviceArray, deviation: Any) -> Band:
         """The loss of voxels that can still be corrected: solid ones stay solid, even with more inhibitor."""
         band = self.weights.band(model.resin)
@@ -165,12 +166,3 @@ class ColorReplanner:
         threshold = 0.5 * (self.weights.outside + self.weights.inside) if self.threshold is None else self.threshold
         iou = float(score(dose, self._fractions, threshold=threshold).iou)
         return Forecast(turns, judge.window(dose)[0], iou, iou)
-
-
-def _on_device(model: KineticModel, delivered: SpeciesFields, plan: Pair) -> tuple[SpeciesFields, Pair]:
-    """The species and the plan's light as finite fields on the model's device. Raises `BadInput`, `ShapeMismatch`."""
-    state = SpeciesFields(*(finite(model.operators[0].domain, part, model.device, f"the {name}")
-                            for name, part in zip(SpeciesFields._fields, delivered, strict=True)))  # fmt: skip
-    light = Pair(*(finite(A.range, part, model.device, "the plan's light")
-                   for A, part in zip(model.operators, plan, strict=True)))  # fmt: skip
-    return state, light

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import sqrt
 from typing import Any
@@ -11,13 +11,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.chemistry.history import ResinHistory
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
 from vamgpu.kernels.watch import likelihood_weights, match_dose, share_gain, tilted_gain
-from vamgpu.live.alike import FEWEST, alike, trends
 from vamgpu.live.calibrated_projection import CalibratedProjection
 from vamgpu.live.fields import here, picked, places, scaled
 from vamgpu.live.local_dose import Fit, LocalDose
@@ -25,7 +22,6 @@ from vamgpu.live.prior import LEAST, MOST, NAMES, OPTICAL, Prior
 from vamgpu.live.rings import on_rings
 from vamgpu.live.smoothing import Smoothing
 from vamgpu.losses.response import Response
-from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import extent
 from vamgpu.operators.ring_projection import RingProjection
@@ -44,11 +40,15 @@ FAR = 0.75
 KEPT = 16
 """Number of operators whose tables are kept."""
 REWEIGHTED = 2
-"""Fits from one set of derivatives, the later weighted by how many voxels err alike."""
+"""Number of fits per set of derivatives; later ones are weighted by the number of voxels with a common error."""
+SAMPLES = 20_000
+"""Greatest number of voxels used for the parameters."""
+ROUNDS = 2
+"""Number of times that derivatives are computed again."""
+RESIDUAL, NEIGHBORS = 0.03, 2.0
+"""Standard deviations: of a voxel's own relative gain, and of the neighborhood over which it is smoothed [voxels]."""
 SLICES = 32
 """Greatest number of slices used to estimate parameters; slices do not light each other."""
-
-
 TINY = 1e-30
 """A value below any variance of conversion."""
 FAINT = 0.02
@@ -56,18 +56,22 @@ FAINT = 0.02
 OTHER = 1.5
 """Largest expected ratio between them."""
 STILL = 0.05
-"""Share of a pixel by which an axis beside the light's middle makes no difference to a plan."""
+"""Distance [pixels] of the axis from the light's middle up to which it makes no difference to a plan."""
+BLOCK = 8
+"""Edge of the blocks of voxels in which errors are compared [voxels]: wider than errors are correlated."""
+FEWEST = 30.0
+"""Fewest voxels of a reconstruction that count as one: its resolution is about three voxels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Parameters and dose after the turns seen so far.
+    """Parameters and dose of the light so far.
 
     Args:
         values: Value of each of `NAMES`, (7,).
         covariance: Covariance matrix, (7, 7), larger if the residuals exceed the noise.
         delivered: Dose so far, in units of Aᵀ(light), [x, y, z] on the device.
-        lit: The part of ``delivered`` since the last estimate, by the parameters only, [x, y, z] on the device.
+        lit: That dose by the parameters only, [x, y, z] on the device.
         std: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Number of voxels used for the parameters.
@@ -105,24 +109,6 @@ class Estimate:
         spread = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(spread, spread)
 
-    @property
-    def posterior(self) -> Prior:
-        """The prior of the next turn, before `Prior.drifted`."""
-        return Prior(self.values, self.covariance)
-
-    def corrected(self, history: ResinHistory) -> ResinHistory:
-        """A vial's history with the oxygen that follows from the sensitivity; use it before ``history.printed``.
-
-        Lamp and oxygen are one gain here: use this only if the lamp was measured.
-
-        Args:
-            history: The assumed history before the print.
-
-        Returns:
-            The history with the oxygen 1 / sensitivity, at most 1.
-        """
-        return replace(history, oxygen=min(1.0, 1.0 / float(self.values[0])))
-
 
 def _raising(rows: int, up: float) -> np.ndarray:
     """The matrix (rows, rows) that raises light by ``up`` rows, by linear interpolation."""
@@ -140,34 +126,20 @@ class Estimator:
     Args:
         operator: The operator of the plan.
         response: Conversion M of a dose in units of Aᵀ(light).
-        samples: Greatest number of voxels used for the parameters.
-        rounds: Number of times that derivatives are computed again.
-        residual: Standard deviation of a voxel's own relative gain.
-        smooth: Standard deviation [voxels] of the neighborhood over which that gain is smoothed.
         rings: Whether `nearly` computes on rings, see `RingProjection`; None if they are faster.
 
     Raises:
-        BadInput: A value is out of its range.
+        BadInput: The operator is not a `Projection`.
     """
 
     operator: Projection
     response: Response
-    samples: int
-    rounds: int
-    residual: float
-    smooth: float
     rings: bool | None
 
-    def __init__(
-        self, operator: Projection, response: Response, *, samples: int = 20_000, rounds: int = 2,
-        residual: float = 0.03, smooth: float = 2.0, rings: bool | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, operator: Projection, response: Response, *, rings: bool | None = None) -> None:
         if not isinstance(operator, Projection):
             raise BadInput(f"got {operator!r}; expected a Projection, whose axis and absorption can be varied")
-        self.operator, self.response = operator, response
-        self.samples, self.rounds = int(positive("samples", samples)), int(positive("rounds", rounds))
-        self.residual, self.smooth = positive("residual", residual), positive("smooth [voxels]", smooth)
-        self.rings = rings
+        self.operator, self.response, self.rings = operator, response, rings
         self._curve = response.curve()
         self._placed = lru_cache(KEPT)(self._placed_anew)
         x, y, z = operator.grid.axes()
@@ -185,18 +157,15 @@ class Estimator:
         """
         return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[0]
 
-    def gain(self, values: np.ndarray) -> np.ndarray:
+    def gain(self, values: np.ndarray) -> DeviceArray:
         """Dose relative to that with the same light at every height and radius.
 
         Args:
             values: Value of each of `NAMES`, (7,).
 
         Returns:
-            The factor of each voxel, [x, y, z].
+            The factor of each voxel, [x, y, z] on the device.
         """
-        return self._gain(values).numpy()
-
-    def _gain(self, values: np.ndarray) -> DeviceArray:
         gain = self.operator.device.empty(self.operator.domain.shape)
         up, aside = self._profiles
         self.operator.device.launch(
@@ -219,9 +188,9 @@ class Estimator:
             The operator, on the device of the planned one.
         """
         placed = self._placed(float(values[1]), float(values[2]))
-        return CalibratedProjection(placed, self._gain(values), float(values[3]))
+        return CalibratedProjection(placed, self.gain(values), float(values[3]))
 
-    def nearly(self, values: np.ndarray, light: Any, dose: Any) -> CalibratedProjection:
+    def nearly(self, values: np.ndarray, light: Any, dose: Any, height: float | None = None) -> CalibratedProjection:
         """A faster form of `calibrated` for planning: on rings if they are faster, otherwise `calibrated` itself.
 
         It uses the rings' tables of the planned operator. Light is moved; a gain represents the changed absorption.
@@ -231,18 +200,20 @@ class Estimator:
             values: Value of each of `NAMES`, (7,).
             light: Light similar to the remaining light, [angle, r, z], NumPy or on the device.
             dose: Its dose with these parameters, such as `Estimate.lit`, [x, y, z], NumPy or on the device.
+            height: Height of the remaining light [mm]; None for that in the parameters.
 
         Returns:
             The operator, on the device of the planned one.
         """
+        later = np.array([*values[:3], values[3] if height is None else height, *values[4:]])
         if self.quick is None:
-            return self.calibrated(values)
+            return self.calibrated(later)
         device, raised = self.operator.device, self.quick.raised(float(values[3]))
         across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
-        moved, planned = CalibratedProjection(raised, self._gain(values), across=across), here(device, dose)
+        moved, planned = CalibratedProjection(raised, self.gain(values), across=across), here(device, dose)
         got = moved.T(here(device, light))
         device.launch(match_dose, dose=planned, got=got, least=FAINT * extent(planned)[1], most=OTHER, gain=moved.gain)
-        return moved
+        return CalibratedProjection(self.quick.raised(float(later[3])), moved.gain, across=across)
 
     @cached_property
     def quick(self) -> RingProjection | None:
@@ -253,17 +224,16 @@ class Estimator:
         return clouded_and_displaced(self.operator, absorption - 1.0, across / self.operator.beam.pitch)
 
     def estimate(
-        self, light: Any, seen: Any, deviation: Any, prior: Prior, before: Estimate | None = None,
-        start: np.ndarray | None = None, correlated: bool = False, common: float = 0.0,
+        self, light: Any, seen: Any, deviation: Any, prior: Prior, start: np.ndarray | None = None,
+        correlated: bool = False, common: float = 0.0,
     ) -> Estimate:  # fmt: skip
         """Estimate parameters and delivered dose.
 
         Args:
-            light: Sum over the turns since ``before``, as planned, [angle, r, z], NumPy or on the device.
+            light: Sum over the turns, as planned, [angle, r, z], NumPy or on the device.
             seen: Current conversion, [x, y, z], NumPy or on the device; NaN in a NumPy array for invalid voxels.
             deviation: Standard deviation of each voxel's conversion, [x, y, z], NumPy or on the device, or one for all.
-            prior: Prior of the parameters of these turns.
-            before: The estimate before these turns; None at the start.
+            prior: Prior of the parameters.
             start: Initial values of the search, for example the last values, (7,); None for the prior's.
             correlated: Whether errors of neighbors may be correlated; their correlation is then measured.
             common: Relative error of the conversion common to all voxels, such as that of the turbidity, and its
@@ -286,12 +256,11 @@ class Estimator:
         measured, sigma = picked(seen, at), picked(spread, at)
         if not (np.isfinite(measured).all() and np.isfinite(sigma).all() and (sigma > 0.0).all()):
             raise self._unseen(used.size)
-        base = 0.0 if before is None else picked(here(device, before.delivered), at)
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
             raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
-        fit = Fit(lit, used, base, measured, sigma, prior.mean, whitening)
+        fit = Fit(lit, used, measured, sigma, prior.mean, whitening)
         values, data, residuals, count = self._fitted(fit, values, correlated)
         spread = scaled(spread, sqrt(count))
         chi = float(count * (residuals @ residuals))
@@ -300,32 +269,30 @@ class Estimator:
         unexplained = float(count * np.square(residuals * sigma).mean() / max(float(measured.var()), TINY))
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
         seen_off = common * measured * trends(*self._profile(used)) / (excess * sqrt(count) * sigma)
-        shifts = covariance @ data.T @ seen_off.T  # by errors that all voxels have alike
+        shifts = covariance @ data.T @ seen_off.T  # by errors common to all voxels
         covariance = covariance + shifts @ shifts.T
         dose = self.calibrated(values).T(lit)
         field = scaled(dose, 1.0, values[6])
-        if before is not None:
-            combine(1.0, field, 1.0, here(device, before.delivered), field)
         std = self._by_voxel(field, seen, spread)
         return Estimate(values, covariance, field, dose, std, chi, used.size, unexplained)
 
     def _fitted(
         self, fit: Fit, values: np.ndarray, correlated: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """The most probable parameters, derivatives and residuals of the voxels used, and how many err alike."""
+        """Most probable parameters; derivatives and residuals of the voxels used; how many share an error."""
         data, residuals, near, count = np.empty((0, len(NAMES))), np.empty(0), None, FEWEST if correlated else 1.0
-        voxels = np.stack(np.unravel_index(fit.used, self.operator.domain.shape))
-        for _ in range(self.rounds):
+        voxels, curve = np.stack(np.unravel_index(fit.used, self.operator.domain.shape)), self._curve
+        for _ in range(ROUNDS):
             if near is not None and (np.abs(values - near.center)[list(OPTICAL)] <= FAR * self._apart).all():
                 break
-            near = self._near(fit.light, self._center(values), fit.used, fit.before)
+            near = self._near(fit.light, self._center(values), fit.used)
 
             def gaps(p: np.ndarray, sigma: np.ndarray, near: LocalDose = near) -> np.ndarray:
                 seen_less = (self.conversion(near.dose(p)) - fit.seen) / sigma
                 return np.concatenate([seen_less, fit.whitening @ (p - fit.mean)])
 
             def rise(p: np.ndarray, sigma: np.ndarray, near: LocalDose = near) -> np.ndarray:
-                rate = self._slope(near.dose(p)) / sigma
+                rate = look_up(near.dose(p), curve.values, curve.start, curve.density)[1] * curve.density / sigma
                 return np.concatenate([(rate * near.rates(p)).T, fit.whitening])
 
             for turn in range(REWEIGHTED if correlated else 1):
@@ -378,7 +345,7 @@ class Estimator:
             draw = some.size
         if not draw:
             raise self._unseen(0)
-        drawn = np.sort(np.random.default_rng(0).choice(draw, min(self.samples, draw), replace=False))
+        drawn = np.sort(np.random.default_rng(0).choice(draw, min(SAMPLES, draw), replace=False))
         if some is not None:
             return some[drawn]
         column, k = np.divmod(drawn, slices.size)
@@ -406,7 +373,7 @@ class Estimator:
         device.launch(resample, source=light, lanes=light, **banded(device, weights), target=mixed)
         return mixed
 
-    def _near(self, light: DeviceArray, center: np.ndarray, used: np.ndarray, before: Any) -> LocalDose:
+    def _near(self, light: DeviceArray, center: np.ndarray, used: np.ndarray) -> LocalDose:
         """The dose near given parameters, by finite differences of operators."""
         count, weights, step = self.operator.grid.shape[2], self.operator.row_weights, STEPS[2]
         slices, place = np.unique(used % count, return_inverse=True)
@@ -426,24 +393,21 @@ class Estimator:
             placed = self._placed((absorption + clouds) * self._steps[0], (across + aside) * self._steps[1])
             return picked(placed.lit_slices(light), at)
 
-        middle = even(still)
+        middle, vessel = even(still), self.operator.vessel
+        absorbs = vessel is not None and vessel.absorption > 0.0
         slopes, curves = np.zeros((2, len(OPTICAL), used.size))
         slopes[2] = even(rising)  # its curve has a kink, because light is interpolated linearly between rows
-        for k, possible in enumerate((self._absorbs, self._movable)):
+        for k, possible in enumerate((absorbs, self._movable)):
             if possible:
                 low, high = (even(still, side * (k == 0), side * (k == 1)) for side in (-1, 1))
                 slopes[k] = (high - low) / (2.0 * self._steps[k])
                 curves[k] = (high - 2.0 * middle + low) / self._steps[k] ** 2
-        return LocalDose(center, middle, slopes, curves, *self._profile(used), before)
+        return LocalDose(center, middle, slopes, curves, *self._profile(used))
 
     def _profile(self, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Profiles of the gain along z and across, at voxels."""
         count = self.operator.grid.shape[2]
         return self._up[used % count], self._out.reshape(-1)[used // count]
-
-    @property
-    def _absorbs(self) -> bool:
-        return self.operator.vessel is not None and self.operator.vessel.absorption > 0.0
 
     @cached_property
     def _movable(self) -> bool:
@@ -452,9 +416,6 @@ class Estimator:
             return displaced(self.operator, STEPS[1]) is not None
         except BadInput:
             return False
-
-    def _slope(self, dose: np.ndarray) -> np.ndarray:
-        return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[1] * self._curve.density
 
     def _check(self, values: np.ndarray, chi: float) -> None:
         """Reject impossible parameters."""
@@ -471,14 +432,14 @@ class Estimator:
     def _by_voxel(self, dose: DeviceArray, seen: DeviceArray, spread: DeviceArray) -> DeviceArray:
         """Give each voxel's dose a gain estimated from its neighbors; return the remaining deviation."""
         device, curve = self.operator.device, self._curve
-        shared = 1.0 / (2.0 * self.smooth * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
+        shared = 1.0 / (2.0 * NEIGHBORS * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
         weight, pull = (device.empty(dose.shape) for _ in range(2))
         device.launch(
             likelihood_weights, dose=dose, seen=seen, deviation=spread, judged=self._judged, samples=self._samples,
             start=curve.start, density=curve.density, weight=weight, pull=pull,
         )  # fmt: skip
         weight, pull = self._neighborhoods(weight), self._neighborhoods(pull)
-        least, std = self.residual**-2, device.empty(dose.shape)
+        least, std = RESIDUAL**-2, device.empty(dose.shape)
         device.launch(
             share_gain, pull=pull, weight=weight, least=shared * least, shared=shared, strength=least, dose=dose,
             deviation=std,
@@ -496,4 +457,19 @@ class Estimator:
 
     @cached_property
     def _neighborhoods(self) -> Smoothing:
-        return Smoothing(self.operator.device, self.operator.grid.shape, self.smooth)
+        return Smoothing(self.operator.device, self.operator.grid.shape, NEIGHBORS)
+
+
+def alike(voxels: np.ndarray, residuals: np.ndarray) -> float:
+    """Number of voxels with a common error, which count as one: variance of blocks, over that of independent voxels.
+
+    voxels: indices (3, voxels).
+    """
+    _, block = np.unique(voxels // BLOCK, axis=1, return_inverse=True)
+    together, apart = np.square(np.bincount(block.ravel(), residuals)).sum(), np.square(residuals).sum()
+    return float(max(together / apart, 1.0)) if apart > 0.0 else 1.0
+
+
+def trends(up: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Errors common to all voxels: constant, in proportion to height, and to the squared radius; (3, voxels)."""
+    return np.stack([np.ones_like(up), up, 2.0 * out])

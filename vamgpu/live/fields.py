@@ -8,10 +8,12 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.kernels.resample import resample
 from vamgpu.kernels.update import fill_background
 from vamgpu.kernels.watch import pick_voxels
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import EVERYWHERE, extent
+from vamgpu.operators.row_resampler import banded
 
 
 def here(device: Device, values: Any) -> DeviceArray:
@@ -32,6 +34,17 @@ def added(first: DeviceArray, *others: DeviceArray, factor: float = 1.0) -> Devi
     out = combine(1.0, first, 0.0, first, first.device.empty(first.shape))
     for other in others:
         combine(1.0, out, factor, other, out)
+    return out
+
+
+def lowered(field: DeviceArray, down: float) -> DeviceArray:
+    """A field moved down by slices, linearly between them; its top continues upwards."""
+    if not down:
+        return field
+    count, out = field.shape[2], field.device.empty(field.shape)
+    source = np.clip(np.arange(count) + down, 0, count - 1)
+    weights = np.maximum(1.0 - np.abs(source[:, None] - np.arange(count)), 0.0)
+    field.device.launch(resample, source=field, lanes=field, **banded(field.device, weights), target=out)
     return out
 
 

@@ -12,7 +12,7 @@ from vamgpu.live.turbidity import MeasuredTurbidity, Turbidity
 PARTS = 4
 """Parts of the images, by their distance from the axis and by height; how much they differ is the error."""
 MODEL = 0.01
-"""Error by which rays and kinetics of the model may be wrong besides, relative."""
+"""Relative error of the model's rays and kinetics, in addition to the noise."""
 LEAST = 0.02
 """Least optical depth of a pixel that counts as darkened."""
 DARKEST = 1e-6
@@ -22,17 +22,8 @@ DARKEST = 1e-6
 def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:
     """Fit the extinction of fully cured resin, and the sensitivity, to the images of the last turn of a print.
 
-    The resin was fresh, and its kinetics are those of the record's setup.
-
-    Args:
-        record: The record of a watched print.
-
-    Returns:
-        The extinction and its standard error [1/mm].
-
-    Raises:
-        BadInput: Nothing has cured in the images, or no extinction explains them.
-        StorageError: A file is missing or damaged.
+    The resin was fresh, and its kinetics are those of the record's setup. Raises `BadInput` if nothing has cured, or no
+    extinction explains the images, `StorageError`.
     """
     from scipy.optimize import least_squares
 
@@ -61,8 +52,8 @@ def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:
     start = np.log([1.0, loop.tomograph.turbidity.full])
     found = least_squares(gaps, start, diff_step=1e-3, x_scale=0.1, max_nfev=40)
     if not found.success or abs(found.x - start).max() > np.log(20.0):
-        raise BadInput("no extinction explains the images of the last turn; expected a print in fresh resin by the "
-                       "light of its job: check open field, noise and place of the camera")  # fmt: skip
+        raise BadInput("no extinction explains the images of the last turn; expected a print in fresh resin with the "
+            "light of its job: check open field, noise and place of the camera")  # fmt: skip
     each = [found.x - np.linalg.lstsq(found.jac[some], found.fun[some], rcond=None)[0]
             for some in (number == part for part in range(PARTS))]  # fmt: skip
     full, spread = float(np.exp(found.x[1])), float(np.std(each, axis=0, ddof=1)[1]) / PARTS**0.5
@@ -70,7 +61,7 @@ def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:
 
 
 def _parts(depth: np.ndarray) -> np.ndarray:
-    """Number of the part of each pixel, [r, z]: each has a fourth of the darkness."""
+    """Number of the part of each pixel, [r, z]: each part has a quarter of the darkness."""
     dark = np.maximum(depth, 0.0).sum(axis=0)
     out = np.abs(np.arange(dark.shape[0]) - 0.5 * (dark.shape[0] - 1.0))
     halves = []

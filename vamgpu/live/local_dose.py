@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,11 +12,10 @@ from vamgpu.live.prior import OPTICAL
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Data of a fit: light, numbers of n voxels, their earlier dose, conversion and its deviation; mean, whitening."""
+    """Data of a fit: light, numbers of n voxels, their conversion and its deviation; mean, whitening."""
 
     light: DeviceArray
     used: np.ndarray
-    before: Any
     seen: np.ndarray
     sigma: np.ndarray
     mean: np.ndarray
@@ -34,7 +32,6 @@ class LocalDose:
     curves: np.ndarray  # second derivatives, (3, n)
     up: np.ndarray  # profile of the gain along z, (n,)
     out: np.ndarray  # profile along r, (n,)
-    before: Any  # dose of earlier turns, (n,)
 
     def _parts(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         off = (p - self.center)[list(OPTICAL)]
@@ -44,7 +41,7 @@ class LocalDose:
     def dose(self, p: np.ndarray) -> np.ndarray:
         """Dose of the voxels, (n,)."""
         even, _, profile = self._parts(p)
-        return self.before + p[6] + p[0] * profile * even
+        return p[6] + p[0] * profile * even
 
     def rates(self, p: np.ndarray) -> np.ndarray:
         """Derivatives of the dose by the parameters, (7, n)."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from math import exp, floor, inf
+from math import exp, floor, hypot, inf
 from time import perf_counter
 from typing import Any
 
@@ -15,14 +15,16 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import VamError
 from vamgpu.kernels.watch import conversion_deviation
+from vamgpu.live.darkness import Darkening, Darkness
 from vamgpu.live.estimate import Estimate, Estimator
-from vamgpu.live.fields import added, alike, here, picked, places, scaled
+from vamgpu.live.fields import added, alike, here, lowered, picked, places, scaled
 from vamgpu.live.printer import CuringResin
-from vamgpu.live.prior import Prior
+from vamgpu.live.prior import NAMES, Prior
 from vamgpu.live.replan import Replanned, Replanner
+from vamgpu.live.sinking import Sinking
 from vamgpu.live.smoothing import Smoothing
-from vamgpu.live.tomography import TINY, OpticalDepths, Reconstruction, Tomograph
-from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of, some, sunk
+from vamgpu.live.tomography import OpticalDepths, Reconstruction, Tomograph
+from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of, some
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
@@ -36,19 +38,19 @@ ENOUGH = 50
 MODEL = 0.1
 """Error of the conversion from resin and tomograph, in addition to the noise."""
 COMMON = 0.05
-"""Relative error of the conversion seen that all voxels have alike."""
+"""Relative error of the seen conversion, common to all voxels."""
 FIRST = 1000
 """Greatest number of voxels of the first estimate."""
 USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
-"""Deviations of parameters that a blurred field hardly distinguishes, and of the inhibitor that a vial's age consumed;
-[mm] or dimensionless."""
+"""Standard deviations of parameters that a blurred field hardly distinguishes, and of the inhibitor that a vial's
+age consumed; [mm] or dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
 """Values of light and inhibitor, relative to the plan, to try before the other parameters are estimated."""
 ROUNDING = 1e-3
 """Tolerance, in turns, of sums of light."""
-ONSET = 0.02
-"""Share of the planned print's darkening below which nothing counts as cured."""
+ONSET, EARLY = 0.02, 0.1
+"""Shares of the planned print's darkening: below the first, nothing has cured; above the second, this is not tested."""
 KEPT = 4
 """Number of lights whose copies on the device are kept."""
 
@@ -67,8 +69,8 @@ class Decision:
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
         iou: Lowest overlap expected at the end, within the errors of gel point and dose, dimensionless.
         reason: Reason in words.
-        doubt: Reason why images no longer decide; empty if they do. The planned light then continues until images are
-            as dark as the planned print makes them, with at most the dose of the plan, and no overlap is predicted.
+        doubt: Reason why the images are no longer used; empty if they are. The planned light then continues until
+            images are as dark as in the planned print, with at most the plan's dose, and no overlap is predicted.
         misfit: Misfit of the images, dimensionless, see `Reconstruction.misfit`; 0 without images.
         checks: Values and limits, dimensionless, of what was checked: ``images``, their misfit, and ``conversion``, the
             share that the light shown does not explain.
@@ -135,29 +137,34 @@ class LiveState:
     values: np.ndarray | None = None  # the last estimate of the parameters, (7,); None before the first
     clear: np.ndarray | None = None  # mean level of the last images before anything cured, [row, column]
     level: np.ndarray | None = None  # mean level of the last images, [row, column]; None before the first turn
-    sunk: float = 0.0  # shift of what is cured towards lower rows since it was first seen [pixels]
+    sinking: Sinking = Sinking()  # how what is cured sinks
     images: str = ""  # digest of the last images
-    doubt: str = ""  # reason why images no longer decide; empty if they do
+    doubt: str = ""  # reason why the images are no longer used; empty if they are
+    darkness: tuple[Darkness, ...] = ()  # of each turn with images: darkness, and planned dose of some voxels
 
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
     """A completed turn: its number, remaining turns, the previous state; the light shown, pending and committed."""
 
-    # clear: level of images before anything cured, and level: now; sunk: as in a state; cured: share of the planned
-    # print's darkening that is seen now
+    # shown, pending: as far below where they were shown as the part has sunk
+    # acted: light that has reacted, and even: its dose as planned
+    # clear: level of images before anything cured, and level: now; cured: share of the planned print's darkening now
 
     turn: int
     left: int
     before: LiveState
     shown: DeviceArray
     pending: DeviceArray
+    acted: DeviceArray
+    even: DeviceArray
     committed: tuple[np.ndarray, ...]
     clear: np.ndarray | None
     level: np.ndarray | None
-    sunk: float
+    sinking: Sinking
     cured: float
     images: str
+    darkness: tuple[Darkness, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +187,7 @@ class LiveLoop:
         prior: Prior of the parameters.
         ahead: Number of turns that begin before a decision can reach the projector.
         every: Number of turns from one decision to the next.
-        trust: Limits within which images decide.
+        trust: Limits within which the images are used.
     """
 
     tomograph: Tomograph
@@ -199,7 +206,9 @@ class LiveLoop:
 
     def start(self) -> LiveState:
         """The state before the first turn. It also makes tables; no turn then waits for them."""
-        _ = self.tomograph.operator, self.estimator.quick, self._planned_dose, self._dark
+        camera = self.tomograph.camera
+        self.tomograph.variance(np.broadcast_to(camera.open_field, camera.shape), iterations=self.iterations)
+        _ = self.estimator.quick, self._dark
         self.replanner.prepare(self.estimator.operator)
         light = self._planned
         dark = scaled(self.field(light), 0.0)
@@ -219,7 +228,7 @@ class LiveLoop:
         """
         at, seen, laps = self._after(state, frames), state.seen, _Laps()
         repeated = at.images and at.images == state.images
-        doubt = state.doubt or ("the camera repeats its images" if repeated else self.trust.of_place(at.sunk))
+        doubt = state.doubt or ("the camera repeats its images" if repeated else "")
         try:
             if doubt:
                 decision = self._by_plan(at, doubt)
@@ -235,32 +244,38 @@ class LiveLoop:
                 decision = replace(decision, misfit=seen.misfit, checks={"images": images} | decision.checks)
         except VamError as error:
             decision = self._kept(at, f"refused: {error}")
-        conversion = None if seen is None else seen.cured
-        decision = replace(decision, stages=laps.seconds, conversion=conversion)
-        found = np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else state.values
+        cured = decision.conversion or (None if seen is None else seen.cured)
+        decision = replace(decision, stages=laps.seconds, conversion=cured)
+        found, sinking = state.values, at.sinking
+        if told := decision.parameters:
+            found, sinking = np.array([told[name][0] for name in NAMES]), self._sinking(at, told["height"])
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, found, at.clear, at.level, at.sunk, at.images,
-                          decision.doubt)  # fmt: skip
+                          at.committed, found, at.clear, at.level, sinking, at.images,
+                          decision.doubt, at.darkness)  # fmt: skip
         return after, decision
 
     def _after(self, state: LiveState, frames: np.ndarray) -> _Turn:
         fade = exp(-1.0 / self.resin.dark)
         showing, *committed = *state.committed, state.light
         made = self.resin.dark * (1.0 - fade)
-        had, light = self.field(state.pending), self.field(showing)
-        pending = combine(fade, had, made, light, had.device.empty(had.shape))
-        shown = added(self.field(state.shown), light)
-        level, clear, share = mean_level(frames, self.tomograph.camera.shape), state.clear, 0.0
-        moved = state.sunk
+        had, light = (lowered(self.field(each), state.sinking.speed) for each in (state.pending, state.shown))
+        sinking = state.sinking.turned(self._turns_of(light))
+        pending = combine(fade, had, made, self.field(showing), had.device.empty(had.shape))
+        shown = added(light, self.field(showing))
+        acted = added(shown, pending, factor=-1.0)
+        even, darkness = (self.estimator.quick or self.estimator.operator).T(acted), state.darkness
+        level, last, clear = mean_level(frames, self.tomograph.camera.shape), state.level, state.clear
+        share = 0.0
         if level is not None:
-            if clear is not None and state.level is not None:
-                moved += sunk(clear - state.level, clear - level)
-            share = 0.0 if clear is None else share_of(darkening(clear - level), self._dark)
-            if clear is None or share < ONSET:  # darkening before anything cures is not curing
+            darkness = *darkness, self._darkening.seen(level, even)
+            clear, last = (level, level) if clear is None or last is None else (clear, last)
+            share, more = (share_of(darkening(each - level), self._dark) for each in (clear, last))
+            if share < EARLY and more < ONSET:  # a bubble or dust stays as dark as it was; resin that cures does not
                 clear = level
+            last = level
         left, seen = max(state.turns - 1, 0), digest(some(frames))
-        last = state.level if level is None else level
-        return _Turn(state.turn + 1, left, state, shown, pending, tuple(committed), clear, last, moved, share, seen)
+        return _Turn(state.turn + 1, left, state, shown, pending, acted, even, tuple(committed), clear, last, sinking,
+                     share, seen, darkness)  # fmt: skip
 
     def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
         """An array on the device of the plan; the last few read-only arrays are kept there.
@@ -298,26 +313,14 @@ class LiveLoop:
         *committed, light = (lights[version] for version in showed)
         return replace(state, committed=tuple(committed), light=light)
 
-    def replay(self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None) -> Iterator[Decision]:
-        """The decisions for recorded images, equal bit for bit to those of the print.
+    def states(
+        self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None
+    ) -> Iterator[tuple[LiveState, Decision]]:
+        """The decisions for recorded images, equal bit for bit to those of the print, with the states.
 
         Args:
             turns: Frames of each turn, [angle, row, column], in order.
             showed: Versions of each turn, as for `corrected`; None if all were shown as decided.
-
-        Yields:
-            The decision after each turn.
-        """
-        return (decision for _, decision in self.states(turns, showed))
-
-    def states(
-        self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None
-    ) -> Iterator[tuple[LiveState, Decision]]:
-        """The states, with the decisions of `replay`.
-
-        Args:
-            turns: As for `replay`, [angle, row, column] each.
-            showed: As for `replay`.
 
         Yields:
             The state and the decision after each turn.
@@ -336,7 +339,8 @@ class LiveLoop:
 
     def _by_plan(self, at: _Turn, doubt: str) -> Decision:
         """The planned light until images are as dark as planned, with at most the dose of the plan."""
-        before, turns = at.before, self._allowed(at)
+        before, spent = at.before, self._turns_of(added(at.shown, *map(self.field, at.committed)))
+        turns = max(floor(self.planned - spent + ROUNDING), 0)
         if at.cured >= 1.0 or at.turn + self.ahead >= self.longest:
             turns = 0
         swapped = not np.array_equal(before.light, self.light)
@@ -344,10 +348,14 @@ class LiveLoop:
         return Decision(at.turn, action, before.version + swapped, self._planned, turns,
                         reason=f"by the plan: {doubt}", doubt=doubt)  # fmt: skip
 
-    def _allowed(self, at: _Turn) -> int:
-        """Number of turns of planned light that the remaining dose of the plan allows."""
-        spent = total(added(at.shown, *map(self.field, at.committed))) / total(self.field(self._planned))
-        return max(floor(self.planned - spent + ROUNDING), 0)
+    def _turns_of(self, light: DeviceArray) -> float:
+        """Light in planned turns."""
+        return total(light) / total(self.field(self._planned))
+
+    def _sinking(self, at: _Turn, height: tuple[float, float]) -> Sinking:
+        """How the part sinks, by the height of the light so far above it, and its deviation [mm]."""
+        distance, error = np.array(height) / self.estimator.operator.beam.pitch
+        return at.sinking.estimated(-distance, error, self._turns_of(at.acted))
 
     @cached_property
     def _planned(self) -> np.ndarray:
@@ -357,54 +365,68 @@ class LiveLoop:
 
     @cached_property
     def _dark(self) -> np.ndarray:
-        """Darkening of the images at which planned light ends; light in flight still reacts afterwards."""
+        """Darkening of the images at which planned light ends."""
+        return darkening(self._darkening.depth)
+
+    @cached_property
+    def _darkening(self) -> Darkening:
+        """Darkening of the planned print when its light ends; radicals still react afterwards."""
         share = max(1.0 - (self.resin.dark + self.ahead) / self.planned, 0.0)
-        cured = self.estimator.conversion(share * self._planned_dose.numpy())
-        passed = self.tomograph.camera.transmitted(self.tomograph.turbidity.extinction_at(cured).astype(np.float32))
-        return darkening(-np.log(np.maximum(some(passed), TINY)).mean(axis=0))
+        return Darkening(self.tomograph, self.estimator.conversion, scaled(self._planned_dose, share))
 
     def _replanned(self, at: _Turn, depths: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
-        if self._cured(seen) < ENOUGH:
+        level = float(np.nextafter(np.float32(SIGNIFICANT), np.float32(inf)))
+        if above(Parts(seen.cured, seen.cured, -inf), level)[0, IN, 1] < ENOUGH:  # of the judged cylinder
             # A weak lamp must not end a print before anything is seen.
             some = max(at.left, min(1, self.longest - at.turn - self.ahead))
             return self._kept(replace(at, left=some), "nothing cured yet")
-        deviation = self._deviation(depths, seen)
+        turbid, unsure = self._darkening.turbidity(at.darkness, self.prior)
+        field = scaled(seen.field, 1.0 / turbid)
+        cured = self.tomograph.conversion(field)
+        deviation = self._deviation(depths, field, cured, turbid)
         laps.over("see")
-        acted = added(at.shown, at.pending, factor=-1.0)
-        found = self._estimated(at.before, acted, self.field(seen.cured), deviation)
+        found = self._estimated(at, cured, deviation, unsure / turbid)
         laps.over("estimate")
-        checks = {"conversion": (found.unexplained, self.trust.conversion)}
+        told = {"checks": {"conversion": (found.unexplained, self.trust.conversion)}, "conversion": cured}
         if doubt := self.trust.of_estimate(found):
-            return replace(self._by_plan(at, doubt), checks=checks)
-        calibrated = self.estimator.nearly(found.values, acted, found.lit)
+            return replace(self._by_plan(at, doubt), **told)
+        sinking, longest = self._sinking(at, found.parameters["height"]), max(self.longest - at.turn - self.ahead, 0)
+        A, height = self.estimator.operator, None
+        if speed := sinking.speed * A.beam.pitch:
+            longest = min(longest, max(at.left, 1))  # in further turns the part would sink further
+            height = -0.5 * speed * longest
+        calibrated = self.estimator.nearly(found.values, at.acted, found.lit, height)
         more = calibrated.T(added(at.pending, *map(self.field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
+        turns = self.ahead, self.ahead + longest
+        ended, going_on = (lowered(delivered, speed * each / A.grid.pitch) for each in turns)
+        solid, consumed = self.resin.solid, float(found.values[6])  # inhibitor that is gone counts as dose
+        gel_error = min(hypot(self.resin.gel_error, unsure / turbid), 1.0)
         plan = self.replanner.replan(
-            calibrated, delivered, self.field(at.before.light), at.left,
-            range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
-            expected_dose=self._expected_dose(float(found.values[6])),
+            calibrated, going_on, self.field(at.before.light), at.left,
+            range(longest + 1), evaluations=self.evaluations,
+            expected_dose=scaled(self._planned_dose, (solid - consumed) / solid, consumed),
             error=min(total(found.std) / total(found.delivered), 1.0),
+            thresholds=replace(self.resin, gel_error=gel_error).solid_doses, stopped=ended,
         )  # fmt: skip
         decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
-        return replace(decision, checks=checks)
+        fitted = {"turbidity": (turbid, unsure)} if unsure else {}
+        fitted["sinking"] = sinking.found * A.beam.pitch, sinking.error * A.beam.pitch
+        return replace(decision, parameters=found.parameters | fitted, **told)
 
-    def _cured(self, seen: Reconstruction) -> int:
-        """Number of voxels in the judged cylinder with visible conversion."""
-        level = float(np.nextafter(np.float32(SIGNIFICANT), np.float32(inf)))
-        return int(above(Parts(seen.cured, seen.cured, -inf), level)[0, IN, 1])
-
-    def _estimated(self, before: LiveState, acted: DeviceArray, seen: DeviceArray, deviation: DeviceArray) -> Estimate:
-        """Parameters and dose of the light that has reacted, from the conversion seen and its deviation."""
+    def _estimated(self, at: _Turn, seen: DeviceArray, deviation: DeviceArray, unsure: float) -> Estimate:
+        """Parameters and dose of the light that has reacted, from the conversion seen, its deviation and scale."""
         columns, slices = np.flatnonzero(self.estimator.operator.grid.cylinder()), seen.shape[2]
         count = columns.size * slices
         column, z = np.divmod(np.arange(0, count, max(count // FIRST, 1)), slices)
-        some = places(acted.device, columns[column] * slices + z, seen.shape)
-        even = (self.estimator.quick or self.estimator.operator).T(acted)
-        gain, inhibitor = self._first_look(*(picked(field, some) for field in (even, seen, deviation)))
-        start = np.array(self.prior.mean if before.values is None else before.values)
+        some = places(seen.device, columns[column] * slices + z, seen.shape)
+        gain, inhibitor = self._first_look(*(picked(field, some) for field in (at.even, seen, deviation)))
+        start = np.array(self.prior.mean if at.before.values is None else at.before.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        return self.estimator.estimate(acted, seen, deviation, self.prior, start=start, correlated=True, common=COMMON)
+        common = hypot(COMMON, unsure)
+        return self.estimator.estimate(at.acted, seen, deviation, self.prior, start=start, correlated=True,
+                                       common=common)  # fmt: skip
 
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
         """The decision that follows from a plan of the remaining turns."""
@@ -416,17 +438,16 @@ class LiveLoop:
             self._kept_fields[id(light)] = light, plan.light
         return Decision(
             at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
-            1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.least),
-            f"overlap {plan.expected.iou:.4f} likely, {plan.kept.iou:.4f} without",
+            1.0 - float(found.values[6]) / self.resin.induction, iou=float(plan.expected.least),
+            reason=f"overlap {plan.expected.iou:.4f} likely, {plan.kept.iou:.4f} without",
             dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
-    def _deviation(self, depths: OpticalDepths, seen: Reconstruction) -> DeviceArray:
+    def _deviation(self, depths: OpticalDepths, field: DeviceArray, sharp: DeviceArray, turbid: float) -> DeviceArray:
         """Standard deviation of the conversion seen: noise, smoothing at edges, and errors of the models."""
-        variance = self.field(self.tomograph.variance(depths, iterations=self.iterations))
-        sharp = self.field(seen.cured)
+        variance = scaled(self.field(self.tomograph.variance(depths, iterations=self.iterations)), turbid**-2)
         variance.device.launch(
-            conversion_deviation, extinction=self.field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
+            conversion_deviation, extinction=self.field(field), sharp=sharp, rounded=self._rounding(sharp),
             **self._slopes, model=MODEL, variance=variance,
         )  # fmt: skip
         return variance
@@ -441,11 +462,6 @@ class LiveLoop:
     def _rounding(self) -> Smoothing:
         """Smoothing like that of edges in a reconstruction."""
         return Smoothing(self.estimator.operator.device, self.estimator.operator.grid.shape, 1.0)
-
-    def _expected_dose(self, initial_dose: float) -> DeviceArray:
-        """Dose of the whole plan, reduced for resin that has consumed inhibitor, because that counts as dose."""
-        solid = self.resin.solid
-        return scaled(self._planned_dose, (solid - initial_dose) / solid, initial_dose)
 
     @cached_property
     def _planned_dose(self) -> DeviceArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import log1p
 from typing import Any
 
@@ -143,7 +142,7 @@ class Truth:
 class VirtualPrinter:
     """A print in progress: voxels half as wide as the plan's, exposed by traced rays and seen by a camera with noise.
 
-    Of the plan's operator, only the geometry is used: `IndependentExposure` lights voxels half as wide again, shifted
+    Only the geometry of the plan's operator is used: `IndependentExposure` lights voxels half as wide again, shifted
     by a quarter of one. The camera's images are made from the resin's own voxels.
 
     Args:
@@ -159,37 +158,26 @@ class VirtualPrinter:
     turbidity: Turbidity
     truth: Truth
     seed: int
-    plan: Projection
-    camera: MonitoringCamera
-    grid: Grid
-    turns: int
-    state: np.ndarray
 
     def __init__(
         self, operator: Projection, camera: MonitoringCamera, resin: CuringResin, turbidity: Turbidity,
         truth: Truth = Truth(), seed: int = 0,
     ) -> None:  # fmt: skip
         self.resin, self.turbidity, self.truth, self.seed = resin, turbidity, truth, seed
-        self.plan = operator
+        self.plan: Projection = operator
         positive("lamp", truth.lamp)
         positive("inhibitor", truth.inhibitor)
         self._exposure = IndependentExposure(self._placed(_finer(operator)))
-        self.camera = replace(camera, projection=_finer(camera.projection))
-        self.grid = self._exposure.grid
-        self.turns = 0
-        self.state = np.zeros((3, *self.grid.shape))
+        self.camera: MonitoringCamera = replace(camera, projection=_finer(camera.projection))
+        self.grid: Grid = self._exposure.grid
+        self.turns: int = 0
+        self.state: np.ndarray = np.zeros((3, *self.grid.shape))
         self.state[0] = truth.inhibitor * resin.induction
 
     def _placed(self, operator: Projection) -> Projection:
         clouds, across = self.truth.absorption, self.truth.across
         placed = clouded(operator, clouds) if clouds else operator
         return displaced(placed, across) if across else placed
-
-    @cached_property
-    def _gain(self) -> np.ndarray:
-        z = self.grid.axes()[2]
-        # Light per voxel is planned for the plan's voxels; the resin's voxels are smaller and get proportionally less.
-        return FINER**3 * (1.0 + self.truth.along_z * z / z[-1])
 
     def dose(self, light: np.ndarray) -> np.ndarray:
         """Dose of a turn at full lamp power.
@@ -200,8 +188,10 @@ class VirtualPrinter:
         Returns:
             Dose in units of the plan's, [x, y, z] of the resin's grid.
         """
-        device = self._exposure.device
-        return np.asarray(self._exposure.averaged(device.upload(light))[0], float) * self._gain
+        device, z = self._exposure.device, self.grid.axes()[2]
+        # Light per voxel is planned for the plan's voxels; the resin's voxels are smaller and get proportionally less.
+        gain = FINER**3 * (1.0 + self.truth.along_z * z / z[-1])
+        return np.asarray(self._exposure.averaged(device.upload(light))[0], float) * gain
 
     def turn(self, dose: np.ndarray) -> None:
         """Expose the resin for one turn.

@@ -73,15 +73,3 @@ class Prior:
         if history is not None:
             mean[0] = 1.0 / positive("oxygen", history.oxygen)
         return cls(mean, np.diag([positive(f"deviation of {name}", usual[name]) ** 2 for name in NAMES]))
-
-    def drifted(self, deviations: Mapping[str, float]) -> Prior:
-        """The prior one turn later, for parameters that change by the given deviations per turn.
-
-        Args:
-            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; the others are 0.
-
-        Returns:
-            The prior of the next turn.
-        """
-        noise = np.array([deviations.get(name, 0.0) ** 2 for name in NAMES])
-        return Prior(self.mean, self.covariance + np.diag(noise))

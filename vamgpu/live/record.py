@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -122,9 +121,7 @@ class LiveSetup:
         Returns:
             The loop, before its first turn.
         """
-        most, resin = self.most * float(light.max()), self.resin
-        unsure = replace(resin, gel_error=min(hypot(resin.gel_error, self.turbidity.error), 1.0))
-        replanner = Replanner(part, most=most, threshold=resin.solid, thresholds=unsure.solid_doses)
+        replanner = Replanner(part, most=self.most * float(light.max()), threshold=self.resin.solid)
         estimator = Estimator(self.projection(self.vial), self.resin.response, rings=self.rings)
         return LiveLoop(
             Tomograph(self.camera(), self.turbidity, rings=self.rings), estimator, replanner, self.resin, light,
@@ -164,10 +161,8 @@ class LiveRecord:
         folder: Folder of the run.
     """
 
-    folder: Path
-
     def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder)
+        self.folder: Path = Path(folder)
 
     @property
     def begun(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import inf, isfinite, prod
+from math import hypot, inf, isfinite, prod
 from typing import Any
 
 import numpy as np
@@ -86,15 +86,17 @@ class Replanned:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A task: delivered dose, the plan's light of a turn, allowed numbers of turns in order, error of the dose."""
+    """A task: delivered dose with further turns and without, light of a turn, allowed numbers of turns, errors."""
 
     state: OptimizerState
     target: DeviceArray
     border: Border
     given: DeviceArray
+    now: DeviceArray
     light: DeviceArray
     counts: Sequence[int]
     error: float
+    thresholds: Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,6 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
             and inside. None does not scale them.
-        thresholds: Other possible values of this dose, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -133,7 +134,6 @@ class Replanner:
     inside: float = 0.95
     greatest: float = 1.0
     threshold: float | None = None
-    thresholds: tuple[float, ...] = ()
     _known: dict[Any, tuple[DeviceArray, Border]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -148,6 +148,7 @@ class Replanner:
     def replan(
         self, operator: Operator, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0, expected_dose: Any = None, error: float = 0.0,
+        thresholds: Sequence[float] = (), stopped: Any = None,
     ) -> Replanned:  # fmt: skip
         """The best light for the rest of a print with the given number of evaluations.
 
@@ -162,6 +163,9 @@ class Replanner:
             expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected for what is
                 missing of it. None starts with the plan's light unchanged.
             error: Relative error of the dose, which `Forecast.least` allows for.
+            thresholds: Other least doses that may make resin solid, for it, in units of the part's dose; see
+                `CuringResin.solid_doses`.
+            stopped: Dose so far if no turn follows, [x, y, z]; None for that delivered.
 
         Returns:
             The light found, or the plan's own if its surface is no farther off.
@@ -176,7 +180,9 @@ class Replanner:
         state.most_evaluations = positive("evaluations", evaluations)
         given = finite(operator.domain, delivered, operator.device, "the delivered dose")
         light = finite(operator.range, plan, operator.device, "the plan's light")
-        task, dose = _Task(state, target, border, given, light, counts, error), state.volume()
+        now = given if stopped is None else finite(operator.domain, stopped, operator.device, "the dose so far")
+        task = _Task(state, target, border, given, now, light, counts, error, thresholds)
+        dose = state.volume()
         state.expose(light, dose)
         kept = self._printed(task, planned, float(planned), dose)
         best, found = None, None
@@ -217,8 +223,8 @@ class Replanner:
         counts, spent = task.counts, task.state.evaluations
         possible = planned in counts and extent(task.light)[1] <= self.most * (1.0 + ROUNDING)
         going_on = min(inf if found is None else found.off, kept.off if possible else inf)
-        if counts[0] == 0 and task.border.off(task.given) <= min(FORMED, going_on + WORTH):
-            return Replanned(scaled(task.light, 0.0), kept.forecast, self._forecast(task, 0, task.given), spent)
+        if counts[0] == 0 and task.border.off(task.now) <= min(FORMED, going_on + WORTH):
+            return Replanned(scaled(task.light, 0.0), kept.forecast, self._forecast(task, 0, task.now), spent)
         if light is None or found is None or (possible and kept.off <= found.off):
             return Replanned(task.light, kept.forecast, kept.forecast, spent)
         task.state.scale(1.0 / found.forecast.turns, light, light)
@@ -295,8 +301,9 @@ class Replanner:
     def _forecast(self, task: _Task, turns: int, dose: DeviceArray) -> Forecast:
         assert self.threshold is not None
         parts = Parts(dose, task.target, 0.5, None)
-        overlaps, levels = [], (self.threshold, *self.thresholds)
-        for level in (self.threshold, min(levels) * (1.0 - task.error), max(levels) * (1.0 + task.error)):
+        overlaps, levels = [], np.array([self.threshold, *task.thresholds]) / self.threshold
+        low, high = max(1.0 - hypot(1.0 - levels.min(), task.error), 0.0), 1.0 + hypot(levels.max() - 1.0, task.error)
+        for level in self.threshold * np.array([1.0, low, high]):
             (_, excess), (missing, printed) = above(parts, float(np.float32(level)))[0].tolist()
             overlaps.append(printed / (missing + printed + excess))
         return Forecast(turns, task.state.window(dose)[0], overlaps[0], min(overlaps))

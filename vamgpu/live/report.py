@@ -16,7 +16,8 @@ from vamgpu.quantity import counted
 from vamgpu.reports import chart
 from vamgpu.reports.page import Card, Chart, Figure, Image, Images, Page, Table
 
-SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "inhibitor")
+SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "inhibitor", "turbidity",
+         "sinking")  # fmt: skip
 """Estimates that are drawn as a curve."""
 TRUE = {"sensitivity": "lamp", "absorption": "absorption", "across": "across", "along_z": "along_z",
         "inhibitor": "inhibitor"}  # fmt: skip
@@ -49,9 +50,10 @@ def page(
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
         Figure(expected, "overlap expected", "with the part, at least, from the last estimate"),
     ]
+    times = [(stage, f"{median:.3f}", f"{most:.3f}", str(count)) for stage, median, most, count in budget(decisions)]
     cards = [
         Card("Decisions", Table(_rows(decisions), HEADER), wide=True),
-        Card("Time per decision", Table(_times(decisions, setup), ("", "median [s]", "most [s]", "decisions")),
+        Card("Time per decision", Table(times, ("", "median [s]", "most [s]", "decisions")),
              note="Sensing is the share of the turn whose images are used."),
     ]  # fmt: skip
     if found:
@@ -61,8 +63,8 @@ def page(
         header = ("", "value", "σ", "true at the start") if true else ("", "value", "σ")
         cards.append(Card("Last estimates", Table(_estimates(found[-1], true, setup), header)))
     if any(each.get("checks") for each in decisions):
-        note = "Relative to the limits. Beyond a limit, the line is red; images do not decide in the red turns."
-        cards.insert(0, Card("Images against the light shown", Chart(_checked(decisions)), wide=True, note=note))
+        note = "Relative to the limits. Beyond a limit, the line is red; the images of the red turns are not used."
+        cards.insert(0, Card("Images compared with the light shown", Chart(_checked(decisions)), wide=True, note=note))
     if conversion is not None:
         part = record.part()
         picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
@@ -72,7 +74,7 @@ def page(
                else "The camera measured nothing that could change the light; the print ran as planned.")  # fmt: skip
     if doubted:
         verdict = (
-            f"From turn {doubted['turn']}, images did not decide; the planned light continued: {doubted['doubt']}."
+            f"From turn {doubted['turn']}, the images were not used; the planned light continued: {doubted['doubt']}."
         )
     return Page("live print", record.folder.resolve().parent.stem, verdict, good, tiles, cards, headline)
 
@@ -84,10 +86,6 @@ def _rows(decisions: Sequence[Mapping[str, Any]]) -> list[list[str]]:
          "{:.3g} (at most {:.3g})".format(*each["checks"]["images"]) if each.get("checks") else "", each["reason"]]
         for each in decisions
     ]  # fmt: skip
-
-
-def _times(decisions: Sequence[Mapping[str, Any]], setup: LiveSetup) -> list[list[str]]:
-    return [[stage, f"{median:.3f}", f"{most:.3f}", str(count)] for stage, median, most, count in budget(decisions)]
 
 
 def _true(truth: Truth | None, setup: LiveSetup) -> dict[str, float]:
@@ -105,7 +103,8 @@ def _found(each: Mapping[str, Any], setup: LiveSetup) -> dict[str, tuple[float, 
 
 
 def _named(name: str) -> str:
-    return name.replace("_", " ") + (" [mm]" if name in ("across", "height") else "")
+    unit = {"across": " [mm]", "height": " [mm]", "sinking": " [mm per turn]"}.get(name, "")
+    return name.replace("_", " ") + unit
 
 
 def _estimates(last: Mapping[str, Any], true: Mapping[str, float], setup: LiveSetup) -> Iterator[list[str]]:
@@ -157,4 +156,4 @@ def _curves(found: Sequence[Mapping[str, Any]], true: Mapping[str, float], setup
         for axis in axes[len(SHOWN) :]:
             axis.set_visible(False)
 
-    return chart.svg(draw, chart.WIDE, 4.6, nrows=2, ncols=4)
+    return chart.svg(draw, chart.WIDE, 6.6, nrows=3, ncols=3)

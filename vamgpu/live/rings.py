@@ -11,7 +11,7 @@ plans. Results are as accurate as with rays, because the dose so far is known an
 
 
 def on_rings(A: Projection, asked: bool | None) -> RingProjection | None:
-    """The same light on rings; None if rays are used. asked: None chooses the faster; `BadInput` if impossible."""
+    """The same light on rings; None if rays are used. asked: None chooses the faster one. Raises `BadInput`."""
     if asked is None:
         asked = prefers_rings(A)
     return RingProjection.of(A, WIDTH) if asked else None

@@ -17,7 +17,7 @@ from vamgpu.schema.quantities import NonNegative
 
 Pair = tuple[float, float]
 REACH = 1.5
-"""Pixels of the beam to either side of one whose light it receives."""
+"""Number of neighboring beam pixels, on either side, from which a pixel gets light."""
 SHARPNESS = 0.5
 """Standard deviation of the point spread that a `MonitoringCamera` has by default [pixels of the beam]."""
 SIXTEEN = 16
@@ -64,19 +64,10 @@ class SensorView:
         cls, shape: tuple[int, int], pixels: tuple[int, int], scale: float, *, flip: bool = False, rotation: int = 0,
         dark: float = 0.0, bits: int = 8,
     ) -> SensorView:  # fmt: skip
-        """The view of a camera whose middle shows the middle of the mirrors, which they show upright.
+        """The view of a camera that is centered on the mirrors, which show upright images.
 
-        Args:
-            shape: Rows and columns of an image.
-            pixels: Rows and columns of the mirrors.
-            scale: Camera pixels per mirror.
-            flip: Whether images are mirrored left-right.
-            rotation: Degrees by which they are then turned clockwise, a multiple of 90.
-            dark: Gray level without light.
-            bits: Bits per pixel.
-
-        Returns:
-            The view of the mirrors.
+        pixels: rows and columns of the mirrors. scale: camera pixels per mirror. flip: images are mirrored left-right.
+        rotation: degrees by which they are then turned clockwise, a multiple of 90.
         """
         turns = round(rotation / 90) % 4
         cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns]  # a point at the top goes to the right
@@ -87,15 +78,9 @@ class SensorView:
         return cls(shape, _pairs(matrix), (float(origin[0]), float(origin[1])), dark, bits)
 
     def of_beam(self, settings: Placement, pixels: tuple[int, int], corner: tuple[int, int]) -> SensorView:
-        """The view of a job's beam, from that of the mirrors which show its frames.
+        """The view of a job's beam (row along z, column along r), from that of the mirrors which show its frames.
 
-        Args:
-            settings: Placement of the job's frames.
-            pixels: Columns and rows of its beam.
-            corner: Row and column of the mirrors that show the first pixel of a frame.
-
-        Returns:
-            The view of pixels (row along z, column along r), as images of a `MonitoringCamera` have them.
+        pixels: columns and rows of the beam. corner: row and column of the mirrors that show the first pixel.
         """
         columns, rows = pixels
         (down, top), (across, left) = (
@@ -106,20 +91,13 @@ class SensorView:
         return replace(self, matrix=_pairs(matrix * [down, across]), origin=(float(origin[0]), float(origin[1])))
 
     def finer(self, parts: int) -> SensorView:
-        """The view of pixels of which so many make an edge of one."""
+        """The view of smaller pixels, ``parts`` along an edge of each."""
         matrix = np.array(self.matrix)
         origin = np.array(self.origin) + matrix @ np.full(2, 0.5 / parts - 0.5)
         return replace(self, matrix=_pairs(matrix / parts), origin=(float(origin[0]), float(origin[1])))
 
     def shown(self, image: np.ndarray) -> np.ndarray:
-        """What the camera shows of an image on the pixels of the beam, which goes on beyond them.
-
-        Args:
-            image: Values, [row, column] of the beam.
-
-        Returns:
-            The value of the nearest pixel, [row, column] of the camera.
-        """
+        """The camera's view [row, column] of an image on the beam's pixels, by the nearest one, also beyond edges."""
         row, column = self._nearest
         return image[np.clip(row, 0, image.shape[0] - 1), np.clip(column, 0, image.shape[1] - 1)]
 
@@ -153,7 +131,7 @@ class BeamImages:
     """Images of a camera on the pixels of the beam, by one table.
 
     Each pixel of the beam gets the mean over the camera's pixels that it covers, blurred as a `MonitoringCamera`
-    expects. Levels are less the dark one, and scaled so that their noise is that of one camera pixel.
+    expects. The dark level is subtracted, and levels are scaled to have the noise of one camera pixel.
 
     Args:
         view: Where the camera's images show the beam.
@@ -173,17 +151,10 @@ class BeamImages:
                            "expected a crop, pixel and place for which they do: run vam calibrate live")  # fmt: skip
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Resample an image.
+        """Levels on the pixels of the beam, [row, column] along z and r, from those of the camera, [row, column].
 
-        Args:
-            image: Gray levels of the camera, [row, column].
-
-        Returns:
-            Levels on the pixels of the beam, [row, column] along z and r; NaN beyond the camera's view, and the
-            brightest level where a pixel is saturated.
-
-        Raises:
-            ShapeMismatch: The image has another shape.
+        They are NaN beyond the camera's view, and the brightest level where a pixel is saturated. Raises
+        `ShapeMismatch`.
         """
         given = np.asarray(image)
         if given.shape != self.view.shape:
@@ -197,14 +168,7 @@ class BeamImages:
         return np.where(self._known, seen, np.nan).astype(np.float32).reshape(self.pixels[::-1])
 
     def noise(self, noise: SensorNoise) -> SensorNoise:
-        """Noise of the resampled levels.
-
-        Args:
-            noise: That of the camera's levels.
-
-        Returns:
-            Noise of the levels that a call returns.
-        """
+        """Noise of the levels that a call returns, from that of the camera's levels."""
         share = self.scale / self._most
         return SensorNoise(noise.read * share, noise.gain / self.scale * share**2, self._bits)
 

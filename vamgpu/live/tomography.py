@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from math import inf
-from time import perf_counter
+from functools import cached_property, lru_cache
 from typing import Any
 from weakref import ref
 
@@ -14,7 +12,6 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
 from vamgpu.kernels.blur import blur_slices
 from vamgpu.kernels.camera import draw_noise, take_bias
 from vamgpu.kernels.filter import filter_rows
@@ -39,6 +36,11 @@ NEIGHBORS = 12.0
 """Greatest sum of absolute values in a row of the second differences along three axes."""
 TINY = 1e-30
 """A value below any weight and any bound of a step."""
+MOST = 1e6
+"""Greatest ratio of the variances of two turns."""
+CONTRAST = 0.2
+"""Typical difference of neighboring voxels, relative to the extinction of fully cured resin; a larger value would give
+sharper and noisier fields."""
 PATCH = 2.0
 """Standard deviation [voxels] of the patches in which a deviation is measured."""
 
@@ -58,9 +60,7 @@ class Reconstruction:
 
     field: DeviceArray  # extinction above that of the resin before the print [1/mm], [x, y, z] on the device
     cured: DeviceArray  # conversion of the resin, [x, y, z] on the device
-    iterations: int  # projector evaluations that were made; a replay uses the same number
     misfit: float  # mean square of images less field, over the noise's variance: near 1 if camera and noise are right
-    seconds: float  # wall time [s]
     contrast: float  # mean square of the images' optical depths over the variance of the noise, dimensionless
 
     @cached_property
@@ -81,8 +81,9 @@ class Tomograph:
 
         minimize Σ w·(A x − y)² + Σ_neighbors (x − x')² / δ²
 
-    with optical depths y of weight w = 1/variance. Steps have Nesterov's momentum. Their length in each voxel is that
-    of a separable surrogate (H. Erdoğan, J. Fessler, Phys. Med. Biol. 44 (1999) 2835), which needs no tuning.
+    with optical depths y of weight w = 1/variance, and δ = `CONTRAST` times the extinction of fully cured resin. Steps
+    have Nesterov's momentum. Their length in each voxel is that of a separable surrogate (H. Erdoğan, J. Fessler, Phys.
+    Med. Biol. 44 (1999) 2835), which needs no tuning.
     Effects of the camera that are not linear (point spread of light instead of its logarithm, bending) are computed
     from the last field.
 
@@ -91,27 +92,19 @@ class Tomograph:
     Args:
         camera: The camera of the images.
         turbidity: Turbidity of the resin.
-        contrast: δ, typical difference of neighboring voxels, relative to the extinction of fully cured resin. A larger
-            value gives a sharper and noisier field.
         rings: Whether to reconstruct on rings, see `RingProjection`; None if they are faster.
-
-    Raises:
-        BadInput: The contrast is not above 0.
     """
 
     camera: MonitoringCamera
     turbidity: Turbidity
-    contrast: float
     rings: bool | None
 
-    def __init__(
-        self, camera: MonitoringCamera, turbidity: Turbidity, contrast: float = 0.2, rings: bool | None = None
-    ) -> None:
+    def __init__(self, camera: MonitoringCamera, turbidity: Turbidity, *, rings: bool | None = None) -> None:
         self.camera, self.turbidity, self.rings = camera, turbidity, rings
-        self.contrast = positive("contrast", contrast)
         self._device = camera.projection.device
-        self._stiffness = (self.contrast * turbidity.full) ** -2
+        self._stiffness = (CONTRAST * turbidity.full) ** -2
         self._bound: tuple[ref[OpticalDepths], DeviceArray] | None = None
+        self._noise = lru_cache(1)(self._open_noise)
 
     @cached_property
     def operator(self) -> Projection | RingProjection:
@@ -138,16 +131,13 @@ class Tomograph:
                            "vial: check exposure, bits and noise of the camera")  # fmt: skip
         return OpticalDepths(depth, weight, pixels)
 
-    def see(
-        self, images: Any, last: Reconstruction | None = None, *, iterations: int = ITERATIONS, deadline: float = inf
-    ) -> Reconstruction:
+    def see(self, images: Any, last: Reconstruction | None = None, *, iterations: int = ITERATIONS) -> Reconstruction:
         """Reconstruct the field from the images of one turn.
 
         Args:
             images: Gray levels [angle, row, column]; lost frames are NaN. Alternatively, the result of `measure`.
             last: Result of the previous turn, as a start.
-            iterations: Greatest number of projector evaluations.
-            deadline: Time limit [s]; the best field so far is returned, after at least one iteration.
+            iterations: Number of projector evaluations.
 
         Returns:
             The field.
@@ -156,7 +146,6 @@ class Tomograph:
             BadInput: No pixel is valid, or iterations is below 1.
             ShapeMismatch: Images or field are of another geometry.
         """
-        begun = perf_counter()
         depths = self._measured(images, iterations)
         start, depth, linear = self._device.empty(self.operator.domain.shape), depths.depth, None
         if last is None:
@@ -168,26 +157,34 @@ class Tomograph:
             linear = self.operator(start)
             depth = self._unbiased(depth, start, linear, last)
         steps = _Descent(self, depth, depths, start, floor=0.0, projected=linear)
-        done, longest, now = 0, 0.0, perf_counter()
-        while done < iterations and (not done or now + longest - begun < deadline):
+        for _ in range(iterations):
             steps.advance()
-            if deadline < inf:
-                self._device.synchronize()
-            done, longest, now = done + 1, max(longest, perf_counter() - now), perf_counter()
-        cured, misfit, contrast = self._device.empty(start.shape), steps.misfit, steps.contrast
-        self._device.launch(interpolate, x=steps.field, **self._conversions, out=cured)
-        return Reconstruction(steps.field, cured, done, misfit, perf_counter() - begun, contrast)
+        misfit = steps.misfit  # before the contrast
+        return Reconstruction(steps.field, self.conversion(steps.field), misfit, steps.contrast)
 
-    def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
+    def conversion(self, extinction: DeviceArray) -> DeviceArray:
+        """Conversion by the assumed turbidity.
+
+        Args:
+            extinction: Extinction above that of the resin before the print [1/mm], [x, y, z] on the device.
+
+        Returns:
+            Conversion, [x, y, z] on the device.
+        """
+        cured = self._device.empty(extinction.shape)
+        self._device.launch(interpolate, x=extinction, **self._conversions, out=cured)
+        return cured
+
+    def deviation(self, images: Any, *, iterations: int = ITERATIONS) -> np.ndarray:
         """Standard deviation of the extinction due to the noise of a turn's images.
 
-        Simulated noise of the camera goes through the same steps, and its magnitude is measured around every voxel.
-        It ignores errors by smoothing, and that x ≥ 0 makes voids more certain.
+        Simulated noise of the open field goes through the same steps once, and its magnitude is measured around every
+        voxel. Where the rays through a voxel have less weight, a turn's is greater. Ignored: errors of smoothing, and
+        x ≥ 0, which makes voids more certain.
 
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.
-            iterations: As for `see`; it takes the same time.
-            seed: Seed of the noise.
+            iterations: As for `see`; the first call with it takes the same time.
 
         Returns:
             [1/mm], [x, y, z]; multiply by `Turbidity.slope_at` for that of the conversion.
@@ -196,15 +193,14 @@ class Tomograph:
             BadInput: No pixel is valid, or iterations is below 1.
             ShapeMismatch: The images are of another geometry.
         """
-        return np.sqrt(self.variance(images, iterations=iterations, seed=seed).numpy())
+        return np.sqrt(self.variance(images, iterations=iterations).numpy())
 
-    def variance(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> DeviceArray:
+    def variance(self, images: Any, *, iterations: int = ITERATIONS) -> DeviceArray:
         """The square of `deviation`, left on the device.
 
         Args:
             images: As for `deviation`.
             iterations: As for `deviation`.
-            seed: As for `deviation`.
 
         Returns:
             [1/mm²], [x, y, z] on the device.
@@ -214,14 +210,24 @@ class Tomograph:
             ShapeMismatch: As `deviation`.
         """
         depths = self._measured(images, iterations)
+        variance, length = self._noise(iterations)
+        scaled = combine(1.0, variance, 0.0, variance, self._device.empty(variance.shape))
+        ends = {"scale": 1.0, "target": self._step_bound(depths), "low": 0.0, "high": 1.0, "most": MOST}
+        self._device.launch(correct_by_ratio, dose=length, **ends, model=scaled)
+        return scaled
+
+    def _open_noise(self, iterations: int) -> tuple[DeviceArray, DeviceArray]:
+        """Variance of the extinction by the noise of images of fresh resin, and the lengths of their steps."""
+        depths = self.measure(np.broadcast_to(self.camera.open_field, self.camera.shape))
         noise, start = self._device.empty(self.operator.range.shape), self._device.empty(self.operator.domain.shape)
-        self._device.launch(draw_noise, weight=depths.weight, slices=self._rows, seed=seed, noise=noise)
+        rows = self._device.table(np.arange(self.operator.range.shape[2]), "int32")
+        self._device.launch(draw_noise, weight=depths.weight, slices=rows, seed=0, noise=noise)
         combine(0.0, self._ones, 0.0, self._ones, start)
         steps = _Descent(self, noise, depths, start, floor=NO_FLOOR)
         for _ in range(iterations):
             steps.advance()
         self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
-        return self._patches(start)
+        return Smoothing(self._device, self.operator.domain.shape, PATCH)(start), self._step_bound(depths)
 
     def _measured(self, images: Any, iterations: int) -> OpticalDepths:
         if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
@@ -249,14 +255,6 @@ class Tomograph:
     @cached_property
     def _ones(self) -> DeviceArray:
         return self._device.upload(np.ones(self.operator.domain.shape, np.float32))
-
-    @cached_property
-    def _rows(self) -> DeviceArray:
-        return self._device.table(np.arange(self.operator.range.shape[2]), "int32")
-
-    @cached_property
-    def _patches(self) -> Smoothing:
-        return Smoothing(self._device, self.operator.domain.shape, PATCH)
 
     @cached_property
     def _lengths(self) -> DeviceArray:

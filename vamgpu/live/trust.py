@@ -14,17 +14,15 @@ if TYPE_CHECKING:
 
 CLEAREST = 0.05
 """Quantile of the pixels that are assumed to show no cured resin."""
-VISIBLE = 0.05
-"""Least greatest optical depth from which a shift is looked for."""
 SOME = 32
-"""Least number of angles whose images are looked at for that."""
+"""Least number of angles used for that."""
 FAINT = 0.05
 """Share of the greatest darkening below which pixels are not compared."""
 
 
 @dataclass(frozen=True)
 class Trust:
-    """Limits beyond which images do not decide the light.
+    """Limits beyond which the images are not used.
 
     Simulated prints of 16 turns stay below 8, 0.04 and 0.24 with lamps of 60 to 125 %, errors of a fifth in turbidity
     and of a tenth in the gel point, and 60 % of the frames lost. A camera that is mirrored, upside down, rolled by 4°,
@@ -34,14 +32,11 @@ class Trust:
         misfit: Greatest `Reconstruction.misfit`, if more than the share ``images`` is also unexplained.
         images: Unexplained share of the mean square of optical depths, dimensionless.
         conversion: Greatest `Estimate.unexplained`.
-        sinking: Greatest shift of what is cured along the axis [pixels]. Simulated prints at rest stay below 0.15, and
-            one that sinks by 0.15 of a pixel a turn reaches 0.3 two turns after it is seen.
     """
 
     misfit: float = 15.0
     images: float = 0.05
     conversion: float = 0.35
-    sinking: float = 0.25
 
     def limit(self, seen: Reconstruction) -> float:
         """Greatest misfit of a reconstruction."""
@@ -60,28 +55,6 @@ class Trust:
             return ""
         return (f"the light shown does not explain {100.0 * found.unexplained:.0f} % of the conversion seen (at most "
                 f"{100.0 * self.conversion:g} % expected): check the camera's orientation and the resin")  # fmt: skip
-
-    def of_place(self, sunk: float) -> str:
-        """Why not to go on, from a shift of what is cured since it was first seen [pixels]; empty without a reason."""
-        if abs(sunk) <= self.sinking:
-            return ""
-        return (f"what is cured has {'sunk' if sunk > 0.0 else 'risen'} by {abs(sunk):.2g} pixels (at most "
-                f"{self.sinking:g} expected): check the viscosity of the resin, and what holds the part")  # fmt: skip
-
-
-def sunk(last: np.ndarray, now: np.ndarray) -> float:
-    """Shift towards lower rows of what darkens two images, by their optical depths [row, column]; 0 while it is faint.
-
-    What is cured grows meanwhile, by a square of its depth that changes with height, and by the same everywhere.
-    """
-    mean = 0.5 * (last + now)
-    if last.max() < VISIBLE or len(mean) < 3:
-        return 0.0
-    up, rise = np.linspace(-1.0, 1.0, len(mean))[:, None], np.gradient(mean, axis=0)
-    growth = (np.ones_like(mean), mean, up * mean, mean**2, up * mean**2)
-    terms = np.stack([each[1:-1].ravel() for each in (rise, *growth)], axis=1)
-    (shift, *_), *_ = np.linalg.lstsq(terms, (now - last)[1:-1].ravel(), rcond=None)
-    return float(shift)
 
 
 def some(frames: np.ndarray) -> np.ndarray:

@@ -44,7 +44,6 @@ class WebReplanner:
         BadInput: A value is out of its range, or the absorption of this film cannot be changed.
     """
 
-    stream: Stream
     drifts: tuple[WebDrift, ...]
 
     def __init__(self, stream: Stream, drifts: WebDrift | Sequence[WebDrift], *, iterations: int | None = None) -> None:
@@ -52,7 +51,7 @@ class WebReplanner:
         if not self.drifts or not all(isinstance(each, WebDrift) for each in self.drifts):
             raise BadInput(f"got drifts {drifts!r}; expected a WebDrift, or several")
         count = stream.iterations if iterations is None else iterations
-        self.stream = replace(stream, wrap=clouded(stream.wrap, self.drifts[-1].absorption), iterations=count)
+        self.stream: Stream = replace(stream, wrap=clouded(stream.wrap, self.drifts[-1].absorption), iterations=count)
 
     @property
     def gain(self) -> float:

@@ -1,7 +1,5 @@
 """Losses of a dose: small objects with a value and a gradient, which combine with weights and responses."""
 
-from __future__ import annotations
-
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss, Mean
 from vamgpu.losses.ramp import Ramp

@@ -13,7 +13,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.kernels.reduce import disc
+from vamgpu.kernels.pointwise import disc
 from vamgpu.kernels.signature import Kernel
 from vamgpu.kernels.update import multiply
 from vamgpu.losses.response import REACH
@@ -49,13 +49,12 @@ class Loss(ABC):
         Args:
             dose: Dose relative to the part's, [x, y, z]; unchanged unless it is also ``out``.
             target: Fractions [x, y, z].
-            out: Array for the derivative by dose, [x, y, z]; may be ``dose``.
+            out: Array for the derivative with respect to dose, [x, y, z]; may be ``dose``.
             reach: Radius about the axis [voxels] beyond which voxels do not count: their derivative is 0.
 
         Returns:
             The loss.
         """
-        ...
 
     def curvature(self) -> float:
         """Largest second derivative of a voxel's loss by its dose, which limits the length of steps.
@@ -121,7 +120,6 @@ class KernelLoss(Loss):
         Returns:
             The kernel, and its arguments besides dose, target, weight, reach and parts.
         """
-        ...
 
     @property
     def coupling(self) -> str:
@@ -146,12 +144,12 @@ class KernelLoss(Loss):
         if self.weight is not None:
             both = weight.device.empty(weight.shape)
             weight.device.launch(multiply, x=self.weight, y=weight, out=both)
-        return replace(self, weight=both)  # pyright: ignore[reportArgumentType] - heirs are dataclasses
+        return replace(self, weight=both)  # pyright: ignore[reportArgumentType] - subclasses are dataclasses
 
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Self:
         if self.weight is None:
             return self
-        return replace(self, weight=field(self.weight))  # pyright: ignore[reportArgumentType] - heirs are dataclasses
+        return replace(self, weight=field(self.weight))  # pyright: ignore[reportArgumentType] - subclasses are dataclasses
 
 
 @dataclass(frozen=True)
@@ -185,10 +183,22 @@ class Sum(Loss):
 
 
 @dataclass(frozen=True)
-class Power(Loss):
-    """factor·loss^exponent, for a loss that is never negative unless the exponent is 1. Raises `BadInput`."""
+class _Around(Loss):
+    """A function of the value of one loss, whose weights are those of that loss."""
 
     loss: Loss
+
+    def on(self, field: Callable[[Any], DeviceArray | None]) -> Self:
+        return replace(self, loss=self.loss.on(field))
+
+    def weighted(self, weight: DeviceArray) -> Self:
+        return replace(self, loss=self.loss.weighted(weight))
+
+
+@dataclass(frozen=True)
+class Power(_Around):
+    """factor·loss^exponent, for a loss that is never negative unless the exponent is 1. Raises `BadInput`."""
+
     exponent: float
     factor: float = 1.0
 
@@ -212,22 +222,14 @@ class Power(Loss):
     def curvature(self) -> float:
         return self.factor * self.loss.curvature()
 
-    def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
-        return replace(self, loss=self.loss.on(field))
-
-    def weighted(self, weight: DeviceArray) -> Loss:
-        return replace(self, loss=self.loss.weighted(weight))
-
 
 @dataclass(frozen=True)
-class Mean(Loss):
+class Mean(_Around):
     """A loss divided by the number of voxels that count, which makes it independent of that number.
 
     Args:
         loss: A sum over voxels.
     """
-
-    loss: Loss
 
     @property
     def coupling(self) -> str:
@@ -241,12 +243,6 @@ class Mean(Loss):
         value = self.loss.value_and_gradient(dose, target, out, reach)
         combine(share, out, 0.0, out, out)
         return share * value
-
-    def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
-        return replace(self, loss=self.loss.on(field))
-
-    def weighted(self, weight: DeviceArray) -> Loss:
-        return replace(self, loss=self.loss.weighted(weight))
 
 
 def steepest(loss: Callable[[np.ndarray], np.ndarray], least: float = 0.0, most: float = REACH) -> float:

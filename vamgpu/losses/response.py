@@ -10,6 +10,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema.quantities import numeric
 
 SAMPLES = 1024
 REACH = 3.0
@@ -133,13 +134,11 @@ class Interpolated(Response):
     values: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        doses, values = np.asarray(self.doses, float), np.asarray(self.values, float)
-        if doses.ndim != 1 or doses.shape != values.shape or len(doses) < 2 or (np.diff(doses) <= 0).any():
+        doses, values = numeric("Interpolated doses", self.doses), numeric("Interpolated values", self.values)
+        if doses.shape != values.shape or len(doses) < 2 or (np.diff(doses) <= 0).any():
             raise BadInput(
                 f"Interpolated got {doses.shape} doses and {values.shape} values; expected two pairs or more, rising"
             )
-        if not (np.isfinite(doses).all() and np.isfinite(values).all()):
-            raise BadInput("Interpolated got NaN or infinity; clean the measurement first")
 
     def curve(self) -> Curve:
         return _sampled(lambda dose: np.interp(dose, self.doses, self.values))

@@ -82,11 +82,11 @@ class VoxelLoss(KernelLoss):
 
 
 def cross_entropy(response: Response) -> VoxelLoss:
-    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c = min(P(d) − d). The derivative by dose is M(d) − f.
+    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c = min(P(d) − d). Its derivative is M(d) − f.
 
     For a logistic M of steepness s and a target of 0 and 1 this is the cross entropy of M(d) and f divided by s, minus
     that of darkness outside the part. It is convex where M rises, and never negative. For M(d) = d it is half the
-    square error. P is interpolated between its samples, so M has steps: for a logistic of steepness 10, of 0.4 %.
+    square error. P is interpolated between its samples, so M has steps; they are 0.4 % for a logistic of steepness 10.
 
     Args:
         response: M; beyond the sampled doses it keeps its last value.

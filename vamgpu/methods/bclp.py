@@ -78,10 +78,10 @@ class BCLP(ByDescent):
         """The reference run of the roll-to-roll paper, with values for what its text leaves open: q = 1, weight 3 in
         the part, learning rate 0.01, the logistic's middle at half the part's dose.
 
-        A learning rate has the unit of its light, which the paper does not state. Here the first step changes the light
-        by a hundredth of itself; later steps follow from its learning rate, except those that would raise the loss. q =
-        1 couples a whole web through one number: `optimize` updates it at each step of a `WebProjection`, `Stream`
-        once, from its first segment.
+        A learning rate depends on the unit of light, which the paper does not state. Here, the first step changes the
+        light by one percent. Later steps use the same learning rate, unless that would raise the loss. q = 1 couples a
+        whole web through one number. `optimize` updates this number at each step of a `WebProjection`; `Stream` takes
+        it once, from the first segment.
         """
         return replace(cls.paper_002(), q=1.0, penalty=(1.0, 3.0), share=0.01, growth=1.0)
 

@@ -106,7 +106,7 @@ def _of_slices(
     grid = Grid((*shape[:2], behind - first), pitch)
     beam = replace(operator.beam, pixels=(columns, behind - first + beyond))
     values = target.numpy() if hasattr(target, "numpy") else np.asarray(target)
-    small = Projection(grid, beam, operator.motion, operator.vessel, operator.device, footprint=operator.footprint)
+    small = Projection(grid, beam, operator.motion, operator.vessel, operator.device)
     chosen = np.ascontiguousarray(values[:, :, first:behind], np.float32)
     if not (chosen >= 0.5).any():
         raise BadInput(f"no voxel of the part lies on slices {first} to {behind - 1}; expected slices that have some")

@@ -57,10 +57,10 @@ class Bound:
         """Divide a window by the bound.
 
         Args:
-            plan: A plan, or a strict window, a share of the greatest dose.
+            plan: A plan, or a strict window relative to the greatest dose.
 
         Returns:
-            The window over the bound, a share.
+            The window as a fraction of the bound.
         """
         return _window(plan) / self.value
 
@@ -68,7 +68,7 @@ class Bound:
         """Describe the bound in words, and how close a window comes to it.
 
         Args:
-            plan: A plan, or a strict window, a share of the greatest dose; None for only the bound.
+            plan: A plan, or a strict window relative to the greatest dose; None for only the bound.
 
         Returns:
             One sentence.
@@ -83,7 +83,7 @@ class Bound:
 def _window(plan: Plan | float) -> float:
     window = getattr(plan, "window", plan)
     if isinstance(window, bool) or not isinstance(window, Real) or not isfinite(window):
-        raise BadInput(f"got {plan!r}; expected a plan, or a strict window, a share of the greatest dose")
+        raise BadInput(f"got {plan!r}; expected a plan, or a strict window relative to the greatest dose")
     return float(window)
 
 
@@ -135,6 +135,28 @@ def certified(
     return Bound(value, combine(1.0, cost, scale, raised, cost), spent)
 
 
+def limited(
+    operator: Operator, target: DeviceArray, lower: DeviceArray, upper: DeviceArray, most: float, evaluations: float
+) -> Bound:  # fmt: skip
+    """The bound for light of at most ``most`` times the greatest dose, of any sign of its dose.
+
+    Whatever A p falls short of 0 on a pixel costs ``most`` times as much.
+    """
+    device = operator.device
+    paid, cost = device.empty(target.shape), device.empty(target.shape)
+    own = {"lower": lower, "upper": upper, "target": target, "inside": 1.0, "outside": 0.0}
+    device.launch(divide_prices, **own, paid=paid, cost=cost)
+    inside, caps = total(paid), total(cost)
+    device.launch(divide_prices, **own | {"outside": 1.0}, paid=paid, cost=cost)
+    share, outside = 1.0 / max(1.0, inside), total(cost) - caps
+    prices = combine(share, cost, -share, paid, cost)
+    short = operator(prices)
+    value = 1.0 + share * (caps - inside) + max(0.0, share * outside - 1.0) + ROUNDING
+    value += most * total(combine(-1.0, short, 0.0, short, short, floor=0.0))
+    on = f"light of at most {most:.4g} times the greatest dose"
+    return Bound(min(value, 1.0), prices if value < 1.0 else combine(0.0, prices, 0.0, prices, prices), evaluations, on)
+
+
 def _scale(paid: DeviceArray, cost: DeviceArray, cover: DeviceArray, keep: float) -> float:
     """Factor of a cover at which ``keep`` of the gain is balanced on every pixel."""
     highs = parts_for(cover_scale, paid)
@@ -143,7 +165,7 @@ def _scale(paid: DeviceArray, cost: DeviceArray, cover: DeviceArray, keep: float
 
 
 def _lowest(of: Callable[[float], tuple[float, float, float]], most: float) -> tuple[float, float, float]:
-    """Minimum of a convex function, by its first result, between 0 and most; it may be infinite on the left."""
+    """The least first result of a convex function between 0 and most; the function may be infinite at small values."""
     low, high = 0.0, most
     first, second = of(high - GOLDEN * (high - low)), of(low + GOLDEN * (high - low))
     for _ in range(TRIED):

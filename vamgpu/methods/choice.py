@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import BadInput
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.descent import Descent
+from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.method import Method
 from vamgpu.schema.registry import as_known, family, find, remedy
 from vamgpu.targets.limits import Limits
@@ -16,6 +18,20 @@ METHODS: dict[str, type[Any]] = {
     "default": find("method", str(_FAMILY.default)), **{name: find("method", name) for name in _FAMILY.nouns}
 }  # fmt: skip
 """Names of methods with default parameters: those of the registry, and "default"."""
+
+EFFECTIVE = LBFGS(outside=0.85, inside=1.25, most=1.5, history=20)
+"""Default method for an effective dose, which is 1 at the end of the induction."""
+
+
+def chosen_for(operator: Any, method: str | Method | Loss) -> Method:
+    """`chosen`, for an operator; with oxygen, only methods that do not take the dose for linear."""
+    if not isinstance(operator, OxygenModel):
+        return chosen(method)
+    how = EFFECTIVE if method == "default" else chosen(method)
+    if not (isinstance(how, LBFGS) or isinstance(how, Descent) and not how.momentum):
+        raise BadInput(f"got {how!r} with an OxygenModel, whose dose is not linear in the patterns; expected "
+                       '"default", LBFGS(outside=0.85, inside=1.25, most=1.5) or your own loss')  # fmt: skip
+    return how
 
 
 def chosen(method: str | Method | Loss) -> Method:

@@ -56,23 +56,14 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     return made[name]
 
 
-def compared(
-    operator: Operator,
-    target: Any,
-    name: str,
-    evaluations: float,
-    *,
-    thresholds: tuple[float, float] = (OUTSIDE, INSIDE),
-    resume: Plan | None = None,
-) -> Plan:
-    """The best patterns of a method at given thresholds after at most ``evaluations`` projector evaluations.
+def compared(operator: Operator, target: Any, name: str, evaluations: float, *, resume: Plan | None = None) -> Plan:
+    """The best patterns of a method, at `OUTSIDE` and `INSIDE`, after at most ``evaluations`` projector evaluations.
 
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z].
         name: Name of the method, one of `LABELS`.
         evaluations: Most projector evaluations, warm start included; a method may use fewer.
-        thresholds: (outside, inside) in units of the part's dose.
         resume: A plan of the same call with fewer evaluations, to resume.
 
     Returns:
@@ -81,6 +72,4 @@ def compared(
     Raises:
         BadInput: As `at_thresholds` and `optimize` do.
     """
-    return optimize(
-        operator, target, at_thresholds(name, *thresholds), evaluations=evaluations, resume=resume, progress=False
-    )
+    return optimize(operator, target, at_thresholds(name), evaluations=evaluations, resume=resume, progress=False)

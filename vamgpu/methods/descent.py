@@ -20,7 +20,7 @@ from vamgpu.methods.state import OptimizerState
 ABOVE = 0.05
 """Excess dose of a gray body, relative to its own dose, above which it is penalized."""
 STEEP = 10.0
-"""Weight of that penalty, for losses whose steepest derivatives by dose are about 1."""
+"""Weight of that penalty, for losses whose steepest derivatives with respect to dose are about 1."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING
 
 from vamgpu.backend.array import DeviceArray
@@ -11,6 +12,7 @@ from vamgpu.methods.method import Steps
 from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.ramp import identity
 from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.compose import capped
 from vamgpu.operators.reductions import dot
 
 if TYPE_CHECKING:
@@ -25,18 +27,16 @@ class DoseObjective:
     Half an evaluation for a value, half for a gradient.
     """
 
-    state: OptimizerState
-    loss: Loss
-    rule: StepRule
-    penalty: tuple[float, float]
-    rest: DeviceArray | None
-
     def __init__(
         self, state: OptimizerState, loss: Loss, rule: StepRule, *, penalty: tuple[float, float] = (0.0, 1.0),
         rest: DeviceArray | None = None, beside: Beside | None = None, dose: DeviceArray | None = None,
         gradient: DeviceArray | None = None, windows: bool = True,
     ) -> None:  # fmt: skip
-        self.state, self.loss, self.rule, self.penalty, self.rest = state, loss.on(state.field), rule, penalty, rest
+        self.state: OptimizerState = state
+        self.loss: Loss = loss.on(state.field)
+        self.rule: StepRule = rule
+        self.penalty: tuple[float, float] = penalty
+        self.rest: DeviceArray | None = rest
         self._beside = beside
         self.dose: DeviceArray = state.volume() if dose is None else dose
         if rule.history and "gradient" not in state.memory:
@@ -96,6 +96,8 @@ def lower(state: OptimizerState, loss: Loss, rule: StepRule, *, efficiency: floa
     memory = state.memory
     if "light" not in memory:
         filtered_light(state, state.volume())
+    if state.most < inf:
+        capped(state.buffer("light"), state.most)
     if efficiency and "penalty" not in memory:
         bright = state.apply_penalty(state.buffer("light"), state.sinogram(), 1.0, power, hold=False)
         memory["penalty"] = efficiency * dot(state.target, state.target) / max(bright, 1e-60)

@@ -37,7 +37,7 @@ class ByPairs(Method):
 
     @property
     def rule(self) -> StepRule:
-        """Rule for the steps that lower it."""
+        """Rule for the steps that lower the loss."""
         return StepRule(history=self.history, history_bytes=self.history_bytes)
 
     def __post_init__(self) -> None:

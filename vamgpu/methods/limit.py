@@ -10,6 +10,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.operators.dose_unit import dose_unit
 from vamgpu.operators.reductions import extent
+from vamgpu.quantity import counted
 from vamgpu.schema.quantities import Absorption, Dose, ExposureTime, Irradiance, measured
 
 MARGIN = 0.99
@@ -73,11 +74,19 @@ class ExposureLimit:
                 "dose"
             )
 
+    def check_turns(self, turns: int, least: float) -> None:
+        """Reject turns in which full-on pixels give the darkest voxel of the part an effective dose below 1."""
+        if least < 1.0:
+            raise BadInput(
+                f"with all pixels full-on at {self.irradiance:g} mW/mm², the darkest voxel of the part gets an "
+                f"effective dose of {least:.3g} in {counted(turns, 'turn')}; expected 1 or more: use more turns, a "
+                "brighter lamp, or a resin of a lower critical dose"
+            )
+
     def _time(self, operator: Any) -> float:
         """Time [s] for light whose brightest pixel, divided by the dose at the threshold, is 1 [1/mm]."""
-        if not all(hasattr(operator, name) for name in ("beam", "grid", "motion")) or not hasattr(
-            operator.motion, "angles"
-        ):
+        known = all(hasattr(operator, name) for name in ("beam", "grid", "motion"))
+        if not known or not hasattr(operator.motion, "angles"):
             raise BadInput(
                 f"got exposure_limit with {operator!r}; expected a projection, whose turns and pixels determine times"
             )

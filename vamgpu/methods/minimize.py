@@ -18,7 +18,7 @@ from vamgpu.methods.pairs import Pairs
 from vamgpu.methods.ramp import Taps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import capped, combine
-from vamgpu.operators.reductions import dot
+from vamgpu.operators.reductions import dot, dots
 
 RETREATS = 24
 """Number of successive returns to the best light, each with half the step, after which the method stops."""
@@ -181,10 +181,10 @@ def _moved(objective: Objective, channels: Sequence[Channel], rule: StepRule) ->
 
 def _ratio(light: DeviceArray, gradient: DeviceArray) -> float:
     """Norm of the light divided by that of the gradient."""
-    return (dot(light, light) / max(dot(gradient, gradient), 1e-60)) ** 0.5
+    own, other = dots((light, light), (gradient, gradient))
+    return (own / max(other, 1e-60)) ** 0.5
 
 
-# ---- along quasi-Newton directions -------------------------------------------------------------------------------
 def _searched(objective: Objective, state: OptimizerState, rule: StepRule) -> Steps:
     """Projected steps along limited-memory directions, each shortened until the loss falls."""
     memory = state.memory

@@ -7,7 +7,7 @@ import warnings
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import MemoryNotice, OutOfMemory
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.reductions import dot
+from vamgpu.operators.reductions import dot, dots
 
 
 class Pairs:
@@ -69,8 +69,9 @@ class Pairs:
         """Complete the pair with the light and gradient after the step; keep it if its curvature is positive."""
         self.state.combine(1.0, light, -1.0, self.step, self.step)
         self.state.combine(1.0, gradient, -1.0, self.change, self.change)
-        product = dot(self.step, self.change)
-        if product > 1e-10 * (dot(self.step, self.step) * dot(self.change, self.change)) ** 0.5:
+        step, change = self.step, self.change
+        product, of_step, of_change = dots((step, change), (step, step), (change, change))
+        if product > 1e-10 * (of_step * of_change) ** 0.5:
             self.kept.append((self.step, self.change, 1.0 / product))
             self._spare = []
 

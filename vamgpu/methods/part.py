@@ -52,7 +52,7 @@ def fractions_of(operator: Operator, target: Any) -> DeviceArray:
             check(radius)
         _check_beam(operator, radius, getattr(target, "height", None))
     fractions = on_device(operator, target)
-    _check_values(fractions)
+    check_values(fractions)
     if isinstance(operator.grid, Grid):
         check_cylinder(fractions, operator.grid, stacklevel=5)
     known = hasattr(target, "radius")  # vessel and beam were checked above; only absorption remains
@@ -105,7 +105,7 @@ def _stepped(values: DeviceArray, at: float, reach: float = EVERYWHERE) -> Devic
 
 def idle_light(operator: Any, light: DeviceArray, lit: DeviceArray) -> float:
     """Share of light [angle, r, z] in pixels whose rays never meet a part, by `lit_pixels`; 0 for dark light."""
-    sent = Dwell(operator.motion, operator.device).weighted(light)
+    sent = Dwell(operator.motion, operator.beam, operator.device).sent(light)
     whole = total(sent)
     return max(1.0 - dot(sent, lit) / whole, 0.0) if whole > 0.0 else 0.0
 
@@ -159,14 +159,15 @@ def _edge(pitch: Any) -> str:
     return " × ".join(f"{edge:g}" for edge in np.atleast_1d(pitch))
 
 
-def _check_values(fractions: DeviceArray) -> None:
+def check_values(fractions: DeviceArray, name: str = "the target", unit: str = "fractions") -> None:
+    """Raise `BadInput` for fractions beyond 0..1, and `EmptyMesh` if none is above 0."""
     low, high = extent(fractions, lower=-inf, upper=inf)
     if not isfinite(total(fractions)):
-        raise BadInput("the target holds NaN or infinity; expected fractions in 0..1")
+        raise BadInput(f"{name} holds NaN or infinity; expected {unit} in 0..1")
     if not (low >= 0.0 and high <= 1.0):
-        raise BadInput(f"the target reaches from {low:g} to {high:g}; expected fractions in 0..1: scale it")
+        raise BadInput(f"{name} reaches from {low:g} to {high:g}; expected {unit} in 0..1: scale it")
     if high == 0.0:
-        raise EmptyMesh("every voxel of the target is 0; expected some that are filled")
+        raise EmptyMesh(f"every voxel of {name} is 0; expected some that are filled")
 
 
 def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> None:
@@ -224,10 +225,10 @@ def _check_reach(operator: Any, fractions: DeviceArray) -> None:
         return
     absorption, lit = float(getattr(vessel, "absorption", 0.0)), float(getattr(vessel, "lit_radius", inf))
     reason = (
-        f"even light leaves the darkest voxel of the part {share:.2g} of the greatest dose; expected {DIM:g} or more, "
-        f"at least {LOST:g}: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the axis, and "
-        f"the light is that of {operator.beam}: use less absorber, a smaller part nearer to the axis, or a beam of "
-        "more pixels"
+        f"uniform light leaves the darkest voxel of the part {share:.2g} of the greatest dose; expected {DIM:g} or "
+        f"more, at least {LOST:g}: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the "
+        f"axis, and the light is that of {operator.beam}: use less absorber, a smaller part nearer to the axis, or a "
+        "beam of more pixels"
     )
     if share < LOST:
         raise NoLight(f"light does not reach the part: {reason}")

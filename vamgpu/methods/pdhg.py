@@ -24,13 +24,13 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.pdhg import dual_dose, dual_step, primal_step, reflect
 from vamgpu.kernels.update import multiply
-from vamgpu.methods.certificate import Bound, certified
+from vamgpu.methods.certificate import Bound, certified, limited
 from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS
-from vamgpu.methods.state import OptimizerState
+from vamgpu.methods.state import UNLIMITED, OptimizerState
 from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import dot, folded, parts_for, total
+from vamgpu.operators.reductions import dot, parts_for, sums, total
 
 MEAN_ROW = 2.0
 """Dose of light 1 everywhere, averaged over the voxels that count; the unit of the steps."""
@@ -114,6 +114,8 @@ class _Run:
         spent = state.evaluations
         memory |= kept
         state.evaluations = state.number("evaluations")
+        if state.most < inf:
+            return limited(state.operator, state.target, after["lower"], after["upper"], state.most, spent)
         return certified(
             state.operator, state.target, state.reach, after["lower"], after["upper"], memory["rows"],
             memory["columns"], spent,
@@ -122,7 +124,6 @@ class _Run:
     def _empty(self, name: str) -> DeviceArray:
         return self.state.sinogram() if name == "light" else self.state.volume()
 
-    # ---- a round ---------------------------------------------------------------------------------------------
     def _begin(self) -> None:
         """The previous light, scaled to a dose of at most 1; lengths of steps."""
         state, memory, upload = self.state, self.memory, self.state.device.upload
@@ -130,7 +131,10 @@ class _Run:
         for name in ("rows", "columns", "held"):
             memory[name] = self._empty("light" if name == "columns" else name)
         rows, held, mask = memory["rows"], memory["held"], upload(state.evaluation_mask())
-        even = self._free(upload(np.ones(light.shape, np.float32)))
+        # −1 for light that subtracts dose, else 1; 0 at angles that are already decided
+        even = upload(getattr(state.operator, "signs", np.ones(light.shape, np.float32)))
+        if state.partial is not None:
+            state.device.launch(weigh_poses, light=even, times=state.partial.free, weighted=even)
         state.operator.T(even, out=rows)  # the evaluation that every method spends
         if state.partial is not None:
             state.device.launch(multiply, x=rows, y=mask, out=rows)
@@ -138,7 +142,7 @@ class _Run:
         unit = MEAN_ROW * total(mask) / max(dot(rows, mask), 1e-30)
         state.scale(unit, rows, rows)
         memory["unit"] = unit
-        self._measure()
+        self._measure(even)
         greatest = state.window(held)[1]
         for field in (light, held) if state.partial is None else ():
             state.scale(1.0 / greatest, field, field)
@@ -151,22 +155,16 @@ class _Run:
         memory |= {"length": 1.0, "weight": sqrt(multipliers / far), "made": 0.0}
         self._anchor(memory, memory)
 
-    def _measure(self) -> None:
-        """Number of limits, and the sum of what a pixel adds to all of them."""
+    def _measure(self, signs: DeviceArray) -> None:
+        """Number of limits, and the sum of what a free pixel adds to all of them."""
         state, memory = self.state, self.memory
         limits = state.evaluation_mask() * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)
         memory |= {
             f"{side} voxels": float(np.count_nonzero(limits == n)) for side, n in (("inside", 2), ("outside", 1))
         }
         state.project(state.device.upload(limits), memory["columns"])
-        self._free(memory["columns"])
+        state.device.launch(multiply, x=memory["columns"], y=signs, out=memory["columns"])
         state.scale(1.0 / memory["unit"], memory["columns"], memory["columns"])
-
-    def _free(self, light: DeviceArray) -> DeviceArray:
-        """Light, set to 0 at angles that are already decided."""
-        if self.state.partial is not None:
-            self.state.device.launch(weigh_poses, light=light, times=self.state.partial.free, weighted=light)
-        return light
 
     def _mean_column(self) -> float:
         columns = self.memory["columns"]
@@ -207,7 +205,6 @@ class _Run:
         way = combine(1.0, self.after[name], -1.0, self.memory[f"{name} anchor"], self.memory[name])
         return dot(way, way)
 
-    # ---- a step ----------------------------------------------------------------------------------------------
     def _step(self) -> float:
         """Find the next point; return its distance, and set the length of the next step."""
         state, memory, launch, levels = self.state, self.memory, self.state.device.launch, self.levels
@@ -216,10 +213,10 @@ class _Run:
         state.project(self.pull, self.descent)
         moved = parts_for(primal_step, self.descent)
         launch(
-            primal_step, light=memory["light"], columns=memory["columns"], step=length / weight, ahead=self.descent,
-            after=after["light"], moved=moved,
+            primal_step, light=memory["light"], columns=memory["columns"], step=length / weight,
+            most=min(state.most, UNLIMITED), ahead=self.descent, after=after["light"], moved=moved,
         )  # fmt: skip
-        gap = weight / length * folded(moved) + self._move_levels(length, weight)
+        gap = self._move_levels(length, weight)
         state.expose(self.descent, after["held"])
         parts = {name: parts_for(dual_step, self.pull) for name in ("inside", "outside", "moved", "crossed")}
         launch(
@@ -228,14 +225,17 @@ class _Run:
             step=length * weight, reach=state.reach, lower=memory["lower"], upper=memory["upper"],
             lower_after=after["lower"], upper_after=after["upper"], **parts,
         )  # fmt: skip
-        found = {name: folded(each) for name, each in parts.items()}
+        found = sums({"light": moved, **parts})
         levels |= {"inside": found["inside"], "outside": found["outside"]}
         combine(0.5, after["held"], 0.5, memory["held"], after["held"])
-        gap += found["moved"] / (length * weight)
+        gap += weight / length * found["light"] + found["moved"] / (length * weight)
         crossed = found["crossed"] + sum(
             sign * (levels[level] - memory[level]) * (levels[side] - memory[side]) for level, side, sign in SIDES
         )
-        self._lengthen(gap / max(2.0 * abs(crossed), 1e-30))
+        safe = gap / max(2.0 * abs(crossed), 1e-30)  # a step this many times as long would have been safe
+        made = memory["made"] = state.number("made") + 1.0
+        most = min((1.0 - (made + 1.0) ** -0.3) * safe, 1.0 + (made + 1.0) ** -0.6)
+        memory["length"] = min(max(LENGTHS[0], most * length), LENGTHS[1])
         return sqrt(gap)
 
     def _move_levels(self, length: float, weight: float) -> float:
@@ -246,13 +246,9 @@ class _Run:
             voxels = memory[f"{side} voxels"]
             pace = 0.5 * length / (weight * max(voxels, 1.0))
             levels[level] = memory[level] + sign * pace * (1.0 - memory[side]) * (voxels > 0)
+            if level == "leak":
+                levels[level] = max(levels[level], 0.0)  # a dose below 0 counts as 0
             if partial is not None and partial.levels is not None:
                 levels[level] = sign * min(sign * levels[level], sign * partial.levels[number])
             gap += (levels[level] - memory[level]) ** 2 / pace
         return gap
-
-    def _lengthen(self, safe: float) -> None:
-        """A longer step, if this one was safe: ``safe`` times as long would have been, too."""
-        made = self.memory["made"] = self.state.number("made") + 1.0
-        most = min((1.0 - (made + 1.0) ** -0.3) * safe, 1.0 + (made + 1.0) ** -0.6)
-        self.memory["length"] = min(max(LENGTHS[0], most * self.memory["length"]), LENGTHS[1])

@@ -19,8 +19,8 @@ class PenaltyMinimization(ByDescent):
 
         minimize ρ₁·Σ_void max(0, d − outside) + ρ₂·Σ_part max(0, inside − d) over g ≥ 0
 
-    The derivative by dose is ρ₁ or −ρ₂ if a voxel is wrong, otherwise 0. It is projected, and negative light is set to
-    0. There is no upper threshold in the part. The run ends when no voxel is wrong.
+    The derivative with respect to dose is ρ₁ or −ρ₂ if a voxel is wrong, otherwise 0. It is projected, and negative
+    light is set to 0. There is no upper threshold in the part. The run ends when no voxel is wrong.
 
     What differs here: subgradient steps whose length is found as in `BCLP` (share, growth; steps that raise the loss
     are undone and halved), starting from filtered back projection; no buffer zone around the part.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from math import isfinite, prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,15 +27,13 @@ from vamgpu.schema import write
 from vamgpu.schema.read import read
 from vamgpu.storage.folder import Entry, Folder, Streamed, write_folder
 from vamgpu.storage.memory import afford
+from vamgpu.storage.reading import malformed
 from vamgpu.storage.turntable import described, turntable_from
 from vamgpu.targets.limits import BodyRequirement, Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
 
-if TYPE_CHECKING:
-    from vamgpu.methods.plan import Plan
-
-OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "exact"}
+OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0}
 """Values assumed for beams in folders that do not state them."""
 LIMITS = "dose", "weight", "body"
 """Arrays of a target's limits."""
@@ -74,14 +72,12 @@ class PlanRecord:
     @classmethod
     def read(cls, data: Any) -> PlanRecord:
         """From a manifest; raises `StorageError` for a malformed record."""
-        try:
+        with malformed("the manifest has a malformed plan", "write the job again"):
             return cls(
                 str(data["method"]), tuple(data["history"]), tuple(data["papers"]), data["seconds"], data["window"],
                 data.get("bound"), tuple(data.get("corners") or ()), str(data.get("ran", "")),
                 notes=tuple(map(str, data.get("notes") or ())), bound_on=str(data.get("bound_on", "")),
             )  # fmt: skip
-        except (KeyError, TypeError) as error:
-            raise StorageError(f"the manifest has a malformed plan: {error}; write the job again") from error
 
 
 def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
@@ -93,7 +89,7 @@ def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> 
     on_rings = isinstance(A, RingProjection)
     return {
         "grid": write(A.grid),
-        "beam": {**write(A.beam), "footprint": "exact" if on_rings else A.footprint},
+        "beam": write(A.beam),
         "turntable": described(A.motion),
         "vessel": None if A.vessel is None else write(A.vessel, arrays=arrays),
         **({"operator": "rings"} if on_rings else {}),
@@ -113,7 +109,7 @@ def projection_from(
     arrays: those stored beside it, by name: `Folder.array` of its job folder, which verifies them by their hashes.
     solved: the operator that found the light, perhaps on rings; else the one that judges it.
     """
-    try:
+    with malformed("the manifest has a malformed geometry", "write the job again"):
         table = dict(description)
         _weigh(table)
         if "kind" in table:
@@ -123,16 +119,13 @@ def projection_from(
                 return Defocused(RingProjection.of(found.operator), found.defocus, found.tolerance)
             return found
         beam, vessel = _with_optics(table["beam"]), table["vessel"]
-        footprint, motion = beam.pop("footprint"), turntable_from(table["turntable"])
+        beam.pop("footprint", None)  # of earlier folders; light is judged by exact footprints
+        motion = turntable_from(table["turntable"])
         grid, light = (read(name, part, units=False) for name, part in (("grid", table["grid"]), ("beam", beam)))
         around = None if vessel is None else read("vessel", vessel, units=False, arrays=arrays)
         if solved and table.get("operator") == "rings":
             return RingProjection(grid, light, motion, around, device)
-    except StorageError:
-        raise
-    except (KeyError, TypeError, ValueError, BadInput) as error:
-        raise StorageError(f"the manifest has a malformed geometry: {error}; write the job again") from error
-    return Projection(grid, light, motion, around, device, footprint=footprint)
+    return Projection(grid, light, motion, around, device)
 
 
 def _at_rest(table: Any) -> Any:
@@ -155,7 +148,7 @@ def _weigh(description: Any) -> None:
 
 
 def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
-    """A described beam with all its fields. Folders without optics were solved for a perfect lens and single rays."""
+    """A described beam with all its fields. Folders without optics were solved for a perfect lens."""
     if set(OPTICS) <= set(beam):
         return dict(beam)
     warnings.warn(
@@ -232,7 +225,7 @@ def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Tar
     """The target that a job folder stores, and its mesh; None if it stores none. Raises `StorageError`."""
     if "target" not in folder.manifest.arrays:
         return None
-    try:
+    with malformed(f"{str(folder.path)!r} lacks its target, or has a malformed one", "write it again"):
         said = folder.manifest.inputs["target"]
         name, (radius, volume, height) = str(said["name"]), (float(said[key]) for key in FACTS[1:])
         mesh, surface = said.get("solid"), None
@@ -241,10 +234,6 @@ def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Tar
         if mesh is not None:
             mended = tuple(map(str, mesh["mended"]))
             surface = Solid(folder.array("vertices")[0], folder.array("faces")[0], str(mesh["name"]), mended)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StorageError(
-            f"{str(folder.path)!r} lacks its target, or has a malformed one: {error}; write it again"
-        ) from error
     limits = limits_from(said.get("limits"), folder.array, tuple(grid.shape))
     kept = folder.array("target") if device is None else device.gather(grid.shape, folder.parts("target"))
     return Target(grid, name, kept, radius, volume, height, surface, limits=limits)
@@ -271,17 +260,13 @@ def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple
     """The limits that `limits_described` described; array: returns arrays by name. Raises `StorageError`."""
     if described is None:
         return None
-    try:
+    with malformed("the manifest has malformed bodies", "write the job again"):
         bodies = tuple(BodyRequirement(**body) for body in described["bodies"])
         fields = {name: array(f"target_{name}") for name in LIMITS}
         found = Limits(**fields, bodies=bodies, void=float(described["void"]))
         if found.dose.shape != shape:
             raise ValueError(f"limits of {found.dose.shape} voxels for a target of {shape}")
         return found
-    except StorageError:
-        raise
-    except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(f"the manifest has malformed bodies: {error}; write the job again") from error
 
 
 def operator_from(folder: Folder, device: Device, *, solved: bool = False) -> Any:
@@ -335,7 +320,7 @@ def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
     record = PlanRecord.read(folder.manifest.inputs.get("plan") or IMPORTED)
     grid = getattr(operator, "grid", None)
     target = target_from(folder, grid, place) if isinstance(grid, Grid) else None
-    try:
+    with malformed(f"{str(path)!r} lacks its plan, or has a malformed one", "write it again"):
         history = tuple(Step(**dict(step)) for step in record.history)  # type: ignore[arg-type]
         spent = history[-1].evaluations if history else 0.0
         return Plan(
@@ -355,10 +340,6 @@ def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
             corners=CornerDoses(tuple(CornerDose(**dict(one)) for one in record.corners)) if record.corners else None,
             notes=record.notes,
         )
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        if isinstance(error, StorageError):
-            raise
-        raise StorageError(f"{str(path)!r} lacks its plan, or has a malformed one: {error}; write it again") from error
 
 
 def tolerances_from(folder: Folder) -> Tolerances | None:
@@ -366,10 +347,8 @@ def tolerances_from(folder: Folder) -> Tolerances | None:
     said = folder.manifest.inputs.get("tolerances")
     if said is None:
         return None
-    try:
+    with malformed(f"{str(folder.path)!r} has malformed tolerances", "write it again"):
         return read("tolerances", dict(said), units=False)
-    except (TypeError, ValueError) as error:
-        raise StorageError(f"{str(folder.path)!r} has malformed tolerances: {error}; write it again") from error
 
 
 IMPORTED: dict[str, Any] = {

@@ -58,8 +58,7 @@ def _rays(source: Projection, operator: Projection, vessel: Vessel) -> np.ndarra
     """(columns, 3): turn in steps of the angle, column of the straight beam, gain."""
     u, pitch = operator.beam.columns(), operator.beam.pitch
     chords = vessel.chords(u)
-    sides = (vessel.chords(u + 0.5 * side * pitch).p for side in (-1, 1))
-    below, above = sides
+    below, above = (vessel.chords(u + 0.5 * side * pitch).p for side in (-1, 1))
     spacing = (above - below) / pitch
     turn = chords.angle / (2.0 * np.pi) * operator.motion.angles
     column = chords.p / source.beam.pitch + 0.5 * (source.beam.pixels[0] - 1)

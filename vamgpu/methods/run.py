@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import (
     BadInput,
     Cancelled,
@@ -24,7 +25,8 @@ from vamgpu.errors import (
 )
 from vamgpu.geometry import Grid, Turntable, counts, positive
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.choice import check_bodies, chosen
+from vamgpu.methods.choice import check_bodies, chosen_for
+from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.method import Method
 from vamgpu.methods.part import fractions_of, limited, radius_of
@@ -131,11 +133,12 @@ def optimize(
     check_tolerances(tolerances)
     if cancel is not None and not callable(cancel):
         raise BadInput(f"cancel is {cancel!r}; expected a function that returns whether to stop, or None")
-    how = chosen(resume.method if resume is not None and method == "default" else method)
+    how = chosen_for(operator, resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
+    if isinstance(operator, OxygenModel):
+        exposure_limit = _whole_exposure(operator, tolerances, exposure_limit, irradiance)
     brightest = ExposureLimit.of(exposure_limit, irradiance, critical_dose, absorption)
-    if brightest is not None:
-        _check_limit(how, exposure_limit, limit)
+    _check_limit(how, operator, exposure_limit, limit)
     tolerance = positive("tolerance", tolerance, zero=True)
     posed: Any = _posed_on_voxels(operator, target)
     problem = _Problem.of(posed, target, how, tolerances)
@@ -143,10 +146,9 @@ def optimize(
         warnings.warn(note, SamplingWarning, stacklevel=2)
     memory = memory_of(posed, target, how, resume, tolerances)
     state = problem.state(memory, how)
-    if brightest is not None:
-        _limit_light(state, operator, brightest, resume, problem.finer)
-    elif "brightness" in memory:
-        raise BadInput("the plan to resume has an exposure limit; resume it with that, or start with its light")
+    _limit_light(state, operator, brightest, resume, problem.finer)
+    if isinstance(operator, OxygenModel):
+        operator.forget()
     state.most_evaluations = inf if evaluations is None else positive("evaluations", evaluations)
     if start is not None or (limit == 0 and resume is None):
         begin(state, how, start, resume, 1.0 / problem.finer)
@@ -229,28 +231,51 @@ def _at_corners(operator: Any, target: DeviceArray, tolerances: Tolerances | Non
     return scenarios, scenarios.stacked([target] * len(scenarios))
 
 
-def _check_limit(method: Method, exposure_limit: Any, limit: int) -> None:
+def _check_limit(method: Method, operator: Any, exposure_limit: Any, limit: int) -> None:
     """Reject an exposure limit for a method that does not support it, and for a run without iterations."""
+    if exposure_limit is None:
+        return
     if limit == 0:
         raise BadInput(f"got exposure_limit={exposure_limit!r} with iterations=0, which cannot dim light; expected "
                        "iterations ≥ 1, or no limit")  # fmt: skip
-    if not isinstance(method, SurfaceRamp):
+    if not isinstance(method, LBFGS if isinstance(operator, OxygenModel) else SurfaceRamp):
         raise BadInput(f'got exposure_limit with {method!r}; expected "default", which limits the brightness')
 
 
+def _whole_exposure(model: OxygenModel, tolerances: Any, exposure_limit: Any, irradiance: Any) -> float | None:
+    """Exposure limit of a model of oxygen with a known lamp: all of its turns."""
+    if tolerances is not None:
+        raise BadInput("got tolerances with an OxygenModel; expected one of them: leave out the tolerances")
+    if exposure_limit not in (None, model.oxygen.seconds):
+        raise BadInput(f"got exposure_limit={exposure_limit!r} with an OxygenModel, whose exposure is {model.turns:,} "
+                       f"turns of {model.period:g} s; expected irradiance and critical_dose alone")  # fmt: skip
+    return exposure_limit if irradiance is None else model.oxygen.seconds
+
+
 def _limit_light(
-    state: OptimizerState, operator: Operator, limit: ExposureLimit, resume: Plan | None, finer: float
+    state: OptimizerState, operator: Operator, limit: ExposureLimit | None, resume: Plan | None, finer: float
 ) -> None:
     """Limit the brightness of a run's light to the exposure. Raises `BadInput`."""
+    if limit is None:
+        if "brightness" in state.memory:
+            raise BadInput("the plan to resume has an exposure limit; resume it with that, or start with its light")
+        return
     brightness = limit.brightness(operator)
     if resume is not None and state.memory.get("brightness") != brightness:
         raise BadInput(
             "the plan to resume has another exposure limit; resume it with its own, or give its light as start"
         )
     state.memory["brightness"], state.brightness = brightness, brightness / finer
-    even, dose = state.device.upload(np.ones(state.operator.range.shape, np.float32)), state.volume()
+    if isinstance(operator, OxygenModel):
+        state.memory["most"] = state.most = state.brightness  # the effective dose at the threshold is 1
+    light = state.brightness if isinstance(operator, OxygenModel) else 1.0  # doses with oxygen are not linear in it
+    even, dose = state.device.upload(np.full(state.operator.range.shape, light, np.float32)), state.volume()
     state.operator.T(even, out=dose)
-    limit.check(operator, extent(dose, state.target, 0.5, inf, state.reach)[0] / finer)
+    least = extent(dose, state.target, 0.5, inf, state.reach)[0]
+    if isinstance(operator, OxygenModel):
+        limit.check_turns(operator.turns, least)
+    else:
+        limit.check(operator, least / finer)
 
 
 def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
@@ -266,8 +291,6 @@ def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
 
 @dataclass
 class _Run:
-    """One run in progress."""
-
     operator: Operator
     method: Method
     state: OptimizerState
@@ -302,8 +325,9 @@ class _Run:
                     look(self._slice)
                 ends = LossTrajectory([self.history[0].loss, self.history[-1].loss])
                 if ends.lost:
-                    trajectory = self._trajectory()
-                    raise Diverged(trajectory.message(), self._plan_of_best(), trajectory.began)
+                    trajectory, state.best.unseen = self._trajectory(), None  # the last light is invalid
+                    best = self.plan() if "best" in state.memory else None
+                    raise Diverged(trajectory.message(), best, trajectory.began)
                 if ends.blown or record[0] <= tolerance * ends.losses[0]:
                     break
         except KeyboardInterrupt:
@@ -330,15 +354,10 @@ class _Run:
     def _trajectory(self) -> LossTrajectory:
         return LossTrajectory([step.loss for step in self.history])
 
-    def _plan_of_best(self) -> Plan | None:
-        """The plan of a run whose last light is invalid; None if there is no other light."""
-        self.state.best.unseen = None
-        return self.plan() if "best" in self.state.memory else None
-
     def _cancelled(self, why: str) -> Cancelled:
         plan = self.plan() if self.history else None
         return Cancelled(
-            f"{why} after {len(self.history)} iterations; pass the error's plan as resume= to go on from there", plan
+            f"{why} after {len(self.history)} iterations; pass the error's plan as resume= to continue from there", plan
         )
 
     def plan(self) -> Plan:
@@ -355,7 +374,9 @@ class _Run:
             light, window, iteration = judged
         certify = getattr(self.method, "certify", None)
         bound = None if certify is None else certify(state)
-        bound = bound and replace(bound, on=_where(self.operator))
+        grid, motion = (getattr(self.operator, name, None) for name in ("grid", "motion"))
+        on = f"{grid}, {motion.moves}" if isinstance(grid, Grid) and isinstance(motion, Turntable) else ""
+        bound = bound and replace(bound, on=on)
         seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started
         return Plan(
             light,
@@ -377,17 +398,13 @@ class _Run:
         )
 
     def _by_voxels(self, judge: OptimizerState, light: DeviceArray, window: float) -> tuple[DeviceArray, float]:
-        """Light in units of the dose on the target's voxels, and its window by rays there.
-
-        It keeps the exposure limit: the threshold is known now, and if it is lower than assumed, the brightest pixels
-        are dimmed. If memory does not suffice, the window remains that of the run.
-        """
+        """Light in units of the dose on the target's voxels, within its exposure limit, and its window by rays."""
         finer = self.problem.finer
         most = self.state.brightness * finer
         if finer != 1.0:
             light = combine(finer, light, 0.0, light, self.state.sinogram())
         try:
-            for _ in range(DIMMED):
+            for _ in range(DIMMED):  # the threshold is known now, and may be lower than assumed
                 dose = judge.operator.T(light)
                 window = judge.window(dose)[0]
                 least, leak, _ = judge.extremes(dose)
@@ -397,7 +414,7 @@ class _Run:
                     break
                 light = capped(copied(light), (1.0 - 1e-4) * limit)
         except OutOfMemory:
-            self.within = most == inf
+            self.within = most == inf  # the window remains that of the run
             self.notes += (NOT_JUDGED,)
         return light, window
 
@@ -439,7 +456,7 @@ def _posed_on_voxels(operator: Any, target: Any) -> Any:
 
 
 def by_rays(operator: Any) -> Any:
-    """The operator by rays through voxels, for one that computes on rings; any other operator itself."""
+    """The same operator by rays through voxels if one computes on rings; otherwise the operator itself."""
     if isinstance(operator, Scenarios):
         rays = [by_rays(each) for each in operator.operators]
         alike = all(one is each for one, each in zip(rays, operator.operators, strict=True))
@@ -448,7 +465,6 @@ def by_rays(operator: Any) -> Any:
 
 
 def _limit(method: Method, iterations: int | None, evaluations: float | None) -> int:
-    """Iterations at most."""
     if isinstance(iterations, bool):
         raise BadInput(f"iterations is {iterations!r}; expected a whole number ≥ 0")
     if iterations is not None:
@@ -456,9 +472,3 @@ def _limit(method: Method, iterations: int | None, evaluations: float | None) ->
     if evaluations is None:
         return method.iterations
     return ceil(positive("evaluations", evaluations))  # an iteration takes at least one
-
-
-def _where(operator: Operator) -> str:
-    """The voxels and the motion of an operator, in words; empty for unusual operators."""
-    grid, motion = (getattr(operator, name, None) for name in ("grid", "motion"))
-    return f"{grid}, {motion.moves}" if isinstance(grid, Grid) and isinstance(motion, Turntable) else ""

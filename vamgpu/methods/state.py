@@ -15,7 +15,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.filter import filter_rows, filtered_step
-from vamgpu.kernels.reduce import disc
+from vamgpu.kernels.pointwise import disc
 from vamgpu.kernels.update import apply_penalty, fill_background, multiply
 from vamgpu.losses.band import MOST
 from vamgpu.losses.loss import Loss
@@ -25,7 +25,7 @@ from vamgpu.methods.part import reach_of, uploaded
 from vamgpu.methods.ramp import Taps
 from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.protocol import Operator
-from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
+from vamgpu.operators.reductions import EVERYWHERE, dot, extent, extents, folded, parts_for, window
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.space import require
 from vamgpu.targets.limits import Limits
@@ -50,15 +50,13 @@ class PartialProblem:
 class OptimizerState:
     """One run: everything a method may use. ``memory`` outlives the run and suffices to resume it."""
 
-    operator: Operator
-    target: DeviceArray
-    memory: dict[str, Any]
-
     def __init__(
         self, operator: Operator, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window",
         limits: Limits | None = None,
     ) -> None:  # fmt: skip
-        self.operator, self.target, self.memory = operator, target, memory
+        self.operator: Operator = operator
+        self.target: DeviceArray = target
+        self.memory: dict[str, Any] = memory
         self.best: Best = Best(memory, criterion)
         self.iteration = 0  # iterations so far, including those of resumed runs
         self.most_evaluations = inf
@@ -76,7 +74,7 @@ class OptimizerState:
 
     @cached_property
     def _squares(self) -> tuple[DeviceArray, DeviceArray] | None:
-        """Squares of the limits, one of which is the operator's divisor, and an array for their products."""
+        """Squares of the limits, because the operator's doses are divided by them once, and an array for products."""
         if self.limits is None:
             return None
         return self.device.upload((self.limits.dose**2).astype(np.float32)), self.volume()
@@ -127,7 +125,6 @@ class OptimizerState:
         """A number of the run's memory."""
         return float(self.memory.get(name, default))
 
-    # ---- counted projections ---------------------------------------------------------------------------------
     def project(self, volume: DeviceArray, out: DeviceArray, beside: Beside | None = None) -> None:
         """out = A volume, plus the projection of cells beside it; half an evaluation."""
         self._count(lambda: self.operator(volume, out=out) if beside is None else beside.project(volume, out))
@@ -162,7 +159,6 @@ class OptimizerState:
         """Store ``light`` in memory if it is the best so far."""
         return self.best.offer(self.buffer("light"), loss, window, self.iteration + made)
 
-    # ---- numbers ---------------------------------------------------------------------------------------------
     def window(self, dose: DeviceArray) -> tuple[float, float]:
         """Strict process window of a dose, and the greatest dose.
 
@@ -180,8 +176,7 @@ class OptimizerState:
         partial = self.partial
         if partial is None:
             return window(dose, self.target, self.reach, self.margin)
-        least, high = extent(dose, partial.target, 0.5, inf)
-        _, leak = extent(dose, partial.target, -0.5, 0.5)
+        (least, high), (_, leak) = extents(dose, partial.target, [(0.5, inf), (-0.5, 0.5)], EVERYWHERE)
         if partial.levels is not None:
             least, leak = min(least, partial.levels[0]), max(leak, partial.levels[1])
         return min(least, 1.0), leak, max(high, leak, 1.0 if partial.levels is not None else 0.0)
@@ -199,7 +194,6 @@ class OptimizerState:
         loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
-    # ---- elementwise -----------------------------------------------------------------------------------------
     def combine(
         self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
     ) -> None:

@@ -8,15 +8,17 @@ Voxels are three quarters of a pixel wide; the optimization then includes the do
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, prod
+from math import ceil
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, NoLight, OutOfMemory
 from vamgpu.geometry import Grid, positive
+from vamgpu.kernels.depth import HALF
 from vamgpu.kernels.loss import dark_loss
 from vamgpu.kernels.update import multiply
 from vamgpu.losses.loss import Loss
@@ -30,12 +32,12 @@ from vamgpu.methods.minimize import Channel, minimize
 from vamgpu.methods.part import lit_pixels
 from vamgpu.methods.ramp import identity
 from vamgpu.methods.state import OptimizerState
-from vamgpu.metrics.depth import HALF, LARGEST_REACH, signed_depth, surrounded
+from vamgpu.metrics.depth import LARGEST_REACH, signed_depth, surrounded
 from vamgpu.metrics.interpolation import interpolated
 from vamgpu.operators.compose import capped
 from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.reductions import folded, parts_for, total
+from vamgpu.operators.reductions import dot, folded, parts_for, total
 from vamgpu.operators.ring_projection import RingProjection, prefers_rings, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.optics.outer_resin import AllResin, outer_resin
@@ -57,7 +59,8 @@ ABOVE = 2.0
 class SurfaceRamp(ByPairs):
     """Projected L-BFGS steps with thresholds that ramp across the surface of the part.
 
-        minimize Σ e²/2 over voxels + Σ max(0, D − dark)²/2 over cells of all other resin,   0 ≤ g ≤ brightest · mean g₀
+        minimize Σ e²/2 over voxels + Σ max(0, D − dark)²/2 over cells of all other resin,
+        0 ≤ g ≤ brightest · Σ g₀² / Σ g₀
 
     with e as in `vamgpu.losses.Ramp`, D = Aᵀg and g₀ the initial patterns, from filtered back projection. Cells of all
     other resin are beside the judged cylinder out to the wall of the vessel, and above and below it. `optimize` uses
@@ -70,7 +73,8 @@ class SurfaceRamp(ByPairs):
         most: Greatest dose in the part, in units of the part's dose.
         dark: Greatest dose of resin beyond the judged cylinder, in units of the part's dose.
         width: Width of the ramp on either side of the surface [pixels in the resin].
-        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; less is a shorter exposure.
+        brightest: Greatest light of a pixel, relative to the mean of the initial patterns weighted by their own light;
+            less is a shorter exposure.
         history: Largest number of stored pairs of sinograms.
         history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` reports if fewer pairs
             fit.
@@ -84,7 +88,7 @@ class SurfaceRamp(ByPairs):
     most: float = 1.0
     dark: float = 0.65
     width: float = 1.0
-    brightest: float = 40.0
+    brightest: float = 2.5
     history: int = 5
     history_bytes: int | None = None
 
@@ -94,9 +98,7 @@ class SurfaceRamp(ByPairs):
         if not positive("dark", self.dark, zero=True) < self.inside:
             raise BadInput(f"dark is {self.dark!r}; expected less than inside, {self.inside!r}: resin beside the part "
                            "must get less than the part, or it prints")  # fmt: skip
-        if not positive("brightest", self.brightest) > 1.0:
-            raise BadInput(f"brightest is {self.brightest!r}; expected more than 1, the mean of the first light, such "
-                           "as 40")  # fmt: skip
+        positive("brightest", self.brightest)
 
     @property
     def loss(self) -> Loss:
@@ -124,18 +126,18 @@ class SurfaceRamp(ByPairs):
         state.lit = lit = lit_pixels(state.operator, state.target)
         if "light" not in memory:
             filtered_light(state, state.volume())
+        light = state.buffer("light")
         if "most" not in memory:  # given light may be too bright, or idle
-            light = state.buffer("light")
             state.device.launch(multiply, x=light, y=lit, out=light)
-            mean = total(light) / prod(state.operator.range.shape)
-            if not mean > 0.0:
+            sent = total(light)
+            if not sent > 0.0:
                 raise NoLight("the initial light is dark in all pixels whose rays meet the part; expected some light "
                               "there: check its angles and its axes, or leave start out")  # fmt: skip
-            memory["most"] = state.most = min(self.brightest * mean, MARGIN * state.brightness * self.threshold)
-            capped(light, state.most)
-        rule = self.rule
-        exposure = DoseObjective(state, self.loss, rule, beside=Beside.of(state.operator, self.dark))
-        yield from minimize(exposure, (Channel(state, identity(state.operator)),), rule)
+            memory["most"] = self.brightest * dot(light, light) / sent
+        state.most = min(memory["most"], MARGIN * state.brightness * self.threshold)
+        capped(light, state.most)
+        exposure = DoseObjective(state, self.loss, self.rule, beside=Beside.of(state.operator, self.dark))
+        yield from minimize(exposure, (Channel(state, identity(state.operator)),), self.rule)
 
 
 def as_fine_as_light(operator: Any, keep: bool = False) -> Projection | RingProjection | None:
@@ -179,7 +181,7 @@ def finer_voxels(method: Any, operator: Any, target: Any) -> Grid | None:
 def fine_grid(operator: Any) -> Grid | None:
     """The voxels of `as_fine_as_light`, which contain the judged cylinder of a projector."""
     A = direct(operator)
-    if not isinstance(A, Projection) or A.footprint != "exact":
+    if not isinstance(A, Projection):
         return None
     pixel = resin_pixel(A.beam, A.vessel)
     pitch = min(A.grid.pitch, FINE * min(pixel))
@@ -201,7 +203,7 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
     reach = min(whole, LARGEST_REACH - 3.0)
     pad = ceil(reach) + 2
     padded = surrounded(fraction, pad, beam.flat)  # a print that is the same at every height has no ends
-    depth = signed_depth(padded, reach) if whole <= reach else _deep(padded, reach)
+    depth = signed_depth(padded, reach, fine.device) if whole <= reach else _deep(padded, reach, fine.device)
     if own is coarse and grid != coarse:
         depth = interpolated(
             depth, [x / coarse.pitch + 0.5 * (n - 1) for x, n in zip(grid.axes(), depth.shape, strict=True)]
@@ -212,11 +214,11 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
     return fine.device.upload(ramp.astype(np.float32))
 
 
-def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
+def _deep(fraction: np.ndarray, reach: float, device: Device) -> np.ndarray:
     """Depths [voxels] as by `signed_depth` within its reach; beyond it, those of voxel centers, ± half a voxel."""
     from scipy.ndimage import distance_transform_edt
 
-    near, inside = signed_depth(fraction, reach), fraction >= HALF
+    near, inside = signed_depth(fraction, reach, device), fraction >= HALF
     far = np.add(*(np.asarray(distance_transform_edt(side)) for side in (inside, ~inside))) - 0.5
     return np.where(np.abs(near) < reach, near, np.copysign(np.maximum(far, reach), near)).astype(np.float32)
 

@@ -1,7 +1,8 @@
-"""Tolerances of a machine and a resin, and what light prints at all their corners."""
+"""Tolerances of a machine and a resin, and the dose of patterns at all their corners."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from math import hypot, inf, sqrt
@@ -276,19 +277,24 @@ class Tolerances:
         return doses_of(self.scenarios(asked, judged="worst"), self, light, fractions_of(operator, target))
 
 
+def corner_doses(tolerances: Tolerances, measure: Callable[[Corner], tuple[float, float, float]]) -> CornerDoses:
+    """Doses at all corners; ``measure`` returns least dose inside, greatest outside and greatest, at a nominal dose."""
+    found: dict[Corner, tuple[float, float, float]] = {}
+    doses = []
+    for corner in tolerances.corners():
+        if corner.optics not in found:
+            found[corner.optics] = measure(corner.optics)
+        least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
+        doses.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(doses))
+
+
 def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, target: DeviceArray) -> CornerDoses:
     """The doses of light at the corners of tolerances, for the target of one scenario."""
-    corners = tolerances.corners()
-    optics = list(dict.fromkeys(corner.optics for corner in corners))
-    dose, reach, found = target.device.empty(target.shape), reach_of(scenarios.each), {}
-    for corner, operator in zip(optics, scenarios.operators, strict=True):
-        operator.T(light, out=dose)
-        found[corner] = window(dose, target, reach)
-    at_corners = []
-    for corner in corners:
-        least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
-        at_corners.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
-    return CornerDoses(tuple(at_corners))
+    optics = dict.fromkeys(corner.optics for corner in tolerances.corners())
+    operators = dict(zip(optics, scenarios.operators, strict=True))
+    dose, reach = target.device.empty(target.shape), reach_of(scenarios.each)
+    return corner_doses(tolerances, lambda corner: window(operators[corner].T(light, out=dose), target, reach))
 
 
 def check_tolerances(tolerances: Any) -> None:
@@ -306,7 +312,7 @@ def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray)
             blamed = next((name for name in BLAMED if getattr(corner, name) not in (0.0, None, (0.0, 0.0))), "axis")
             raise ToleranceError(
                 blamed,
-                f"leaves part of the target dark ({corner}): even light gives its darkest voxel "
+                f"leaves part of the target dark ({corner}): uniform light gives its darkest voxel "
                 f"{found.least / max(found.greatest, 1e-30):.2g} of the greatest dose; use a smaller tolerance or a "
                 "beam of more pixels",
             )
@@ -316,7 +322,6 @@ BLAMED = ("wobble", "axis", "index", "absorption")
 """Tolerances that can leave a part dark, the most likely first."""
 
 
-# ---- operators at corners --------------------------------------------------------------------------------------------
 def at(operator: Any, corner: Corner) -> Any:
     """The operator at a corner, except for the dose. Raises `ToleranceError`."""
     if corner.optics == Corner():
@@ -326,10 +331,7 @@ def at(operator: Any, corner: Corner) -> Any:
         return changed
     x, y = corner.wobble
     poses = operator.motion.poses
-    try:
-        return Wobbled(changed, Wobble(y * np.cos(poses) - x * np.sin(poses)))
-    except BadInput as error:
-        raise ToleranceError("wobble", f"does not fit the print: {error}") from error
+    return _moved(changed, y * np.cos(poses) - x * np.sin(poses), "wobble")
 
 
 def _rebuilt(operator: Any, corner: Corner) -> Any:
@@ -369,12 +371,10 @@ def _projected(A: Projection, corner: Corner) -> Any:
         raise ToleranceError("axis", f"is {abs(moved):g} mm, beyond the beam of {half:g} mm either side; expected "
                              "less: check its unit, mm")  # fmt: skip
     if corner.spread is not None:
-        if A.footprint != "exact":
-            raise ToleranceError("spread", "has no meaning for footprint='joseph'; use footprint='exact'")
         beam = replace(beam, spread=corner.spread)
     if corner.absorption or corner.index:
         vessel = _resin(vessel, corner)
-    if moved and A.footprint == "exact":
+    if moved:
         try:
             given = isinstance(vessel, Misaligned) and type(vessel) is Misaligned
             vessel = replace(vessel, offset=vessel.offset + moved) if given else Misaligned(vessel, offset=moved)  # type: ignore[union-attr]
@@ -383,17 +383,17 @@ def _projected(A: Projection, corner: Corner) -> Any:
             pass
     built = A
     if (beam, vessel) != (A.beam, A.vessel):
-        built = Projection(A.grid, beam, A.motion, vessel, A.device, footprint=A.footprint)
+        built = Projection(A.grid, beam, A.motion, vessel, A.device)
     return _moved(built, moved)
 
 
-def _moved(operator: Any, axis: float) -> Any:
-    if not axis:
+def _moved(operator: Any, axis: float | np.ndarray, name: str = "axis") -> Any:
+    if not np.any(axis):
         return operator
     try:
         return Wobbled(operator, Wobble(axis))
     except BadInput as error:
-        raise ToleranceError("axis", f"does not fit the print: {error}") from error
+        raise ToleranceError(name, f"does not fit the print: {error}") from error
 
 
 def _resin(vessel: Any, corner: Corner) -> Any:

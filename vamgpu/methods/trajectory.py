@@ -9,7 +9,7 @@ from math import isfinite
 BLOWN = 1e3
 """Multiple of the first loss above which a run is given up."""
 LOST = 0.5
-"""Share of the descent whose loss counts as divergence, not as an oscillation."""
+"""A rise by more than this share of the descent is a divergence, not an oscillation."""
 SWING = 0.05
 """Relative rise over the least loss that is never reported."""
 

@@ -8,9 +8,9 @@ With copies z of the dose and w of the light, and scaled duals u and v (J. Eckst
     z = clip(Aᵀg + u),  w = clip(g + v + push·(g + v − white/2)),
     g ← argmin |Aᵀg − z + u|² + |g − w + v|²,  u ← u + Aᵀg − z,  v ← v + g − w,
 
-each with over-relaxation. The push is a concave penalty; in place of it, R. Takapoui, N. Moehle, S. Boyd, A. Bemporad,
-Int. J. Control 93 (2020) 2, use the nearer level itself in every step. The argmin inverts the blur of exposing and
-projecting (`GramInverse`).
+each with over-relaxation. The push is a concave penalty; R. Takapoui, N. Moehle, S. Boyd, A. Bemporad, Int. J. Control
+93 (2020) 2, round to the nearer level in every step instead. The argmin inverts the blur of exposing and projecting
+(`GramInverse`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.gram import RIM, GramInverse
 from vamgpu.operators.protocol import Operator
-from vamgpu.operators.reductions import extent, folded, parts_for
+from vamgpu.operators.reductions import extent, parts_for, sums
 from vamgpu.operators.scenarios import Scenarios
 
 PUSH = (0.005, 0.3)
@@ -50,15 +50,13 @@ CLOSE, PASSES = 1e-3, 12
 class TwoLevels:
     """Finds two-level light with a wide window, starting from any light."""
 
-    possible: bool
-
     def __init__(self, operator: Operator, target: DeviceArray, light: DeviceArray) -> None:
         self._light, self._state = light, OptimizerState(operator, target, {})
         self._inverse: GramInverse | None = None
         if not GramInverse.unsupported_reason(operator):
             with suppress(OutOfMemory):
                 self._inverse = GramInverse(operator, self._state.reach, RIM)
-        self.possible = self._inverse is not None
+        self.possible: bool = self._inverse is not None
 
     def seek(self, white: DeviceArray) -> Iterator[DeviceArray]:
         """Drive light to its two levels."""
@@ -76,37 +74,29 @@ class TwoLevels:
 class ADMM:
     """One run: light, its dose, and the scaled duals of both, in units of the greatest dose."""
 
-    state: OptimizerState
-    inverse: GramInverse
-    unit: float
-    light: DeviceArray
-    light_dual: DeviceArray
-    dose: DeviceArray
-    dose_dual: DeviceArray
-    least: float
-    leak: float
-    lack: float
-    pull: DeviceArray
-    way: DeviceArray
-
     def __init__(self, state: OptimizerState, inverse: GramInverse, light: DeviceArray) -> None:
-        self.state, self.inverse = state, inverse
-        self.light, self.dose = state.sinogram(), state.volume()
+        self.state: OptimizerState = state
+        self.inverse: GramInverse = inverse
+        self.light: DeviceArray = state.sinogram()
+        self.dose: DeviceArray = state.volume()
         state.expose(light, self.dose)
-        self.unit = max(extent(self.dose)[1], 1e-30)
+        self.unit: float = max(extent(self.dose)[1], 1e-30)
         state.scale(1.0 / self.unit, light, self.light)
         state.scale(1.0 / self.unit, self.dose, self.dose)
-        self.dose_dual = combine(-1.0, self.dose, 0.0, self.dose, state.volume())
-        self.light_dual = combine(-1.0, self.light, 0.0, self.light, state.sinogram())
-        self.least, self.leak = 1.0, BACKGROUND
-        self.pull, self.way = state.volume(), state.sinogram()
+        self.dose_dual: DeviceArray = combine(-1.0, self.dose, 0.0, self.dose, state.volume())
+        self.light_dual: DeviceArray = combine(-1.0, self.light, 0.0, self.light, state.sinogram())
+        self.least: float = 1.0
+        self.leak: float = BACKGROUND
+        self.pull: DeviceArray = state.volume()
+        self.way: DeviceArray = state.sinogram()
         count = len(state.operator) if isinstance(state.operator, Scenarios) else 1
-        self.lack = LACK * float(np.count_nonzero(state.evaluation_mask() * state.target.numpy() >= 0.5)) / sqrt(count)
+        voxels = float(np.count_nonzero(state.evaluation_mask() * state.target.numpy() >= 0.5))
+        self.lack: float = LACK * voxels / sqrt(count)
 
     def step(self, white: DeviceArray, push: float) -> None:
         """Clip dose and light to their limits, then find the light closest to both."""
         state, launch = self.state, self.state.device.launch
-        self._find_levels()
+        self.least, self.leak = found_levels(self._point(), self.lack)
         launch(clip_dose, **self._point(), relax=RELAX, pull=self.pull)
         state.project(self.pull, self.way)
         launch(
@@ -118,31 +108,33 @@ class ADMM:
         state.expose(self.light, self.dose)
 
     def _point(self) -> dict[str, Any]:
-        """Whether to search for limits, and the limits."""
-        return {
-            "held": self.dose, "scaled_dual": self.dose_dual, "target": self.state.target, "least": self.least,
-            "leak": self.leak, "reach": self.state.reach, "rim": RIM,
-        }  # fmt: skip
+        """Where to search for limits, and the limits."""
+        where = {"held": self.dose, "scaled_dual": self.dose_dual, "target": self.state.target}
+        return where | {"least": self.least, "leak": self.leak, "reach": self.state.reach, "rim": RIM}
 
-    def _find_levels(self) -> None:
-        """a and b at which the part lacks, and voids leak, as much as allowed, by Newton's steps from the last ones."""
-        target = self.state.target
-        for _ in range(PASSES):
-            parts = {name: parts_for(find_levels, self.dose) for name in ("below", "shorts", "above", "over")}
-            self.state.device.launch(find_levels, **self._point(), **parts)
-            found = {name: folded(each) for name, each in parts.items()}
-            low, high = self.lack - found["shorts"], found["over"] - self.lack
-            if found["below"]:
-                self.least = min(self.least + low / found["below"], 1.0)
-            else:
-                self.least = min(extent(self._sought(), target, 0.5, inf)[0] + self.lack, 1.0)
-            if found["above"]:
-                self.leak += high / found["above"]
-            else:
-                most = extent(self._sought(), target, -inf, 0.5)[1]
-                self.leak = most - self.lack if most > -inf else 0.0
-            if max(abs(low), abs(high)) <= CLOSE * self.lack:
-                return
 
-    def _sought(self) -> DeviceArray:
-        return combine(2.0, self.dose, 1.0, self.dose_dual, self.pull)
+def found_levels(point: dict[str, Any], lack: float) -> tuple[float, float]:
+    """a and b at which the part lacks, and voids leak, ``lack`` in all, by Newton's steps from those of the point.
+
+    point: arguments of `find_levels`, whose doses are 2·held + scaled_dual.
+    """
+    held, target, least, leak = point["held"], point["target"], point["least"], point["leak"]
+
+    def sought(low: float, high: float) -> tuple[float, float]:
+        dose = combine(2.0, held, 1.0, point["scaled_dual"], held.device.empty(held.shape))
+        return extent(dose, target, low, high, point["reach"])
+
+    for _ in range(PASSES):
+        parts = {name: parts_for(find_levels, held) for name in ("below", "shorts", "above", "over")}
+        held.device.launch(find_levels, **point | {"least": least, "leak": leak}, **parts)
+        found, before = sums(parts), (least, leak)
+        low, high = lack - found["shorts"], found["over"] - lack
+        least = min(least + low / found["below"] if found["below"] else sought(0.5, inf)[0] + lack, 1.0)
+        if found["above"]:
+            leak += high / found["above"]
+        else:
+            most = sought(-inf, 0.5)[1]
+            leak = most - lack if most > -inf else 0.0
+        if max(abs(low), abs(high)) <= CLOSE * lack or (least, leak) == before:
+            break
+    return least, leak

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import counts
 from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 
+STEPS, SAMPLES = 200, 2000
 _ROUGH = 12
 """Number of steps that move points to their nearest points, before steps that also slide them along the surface."""
 _SETTLED = 1e-7
@@ -41,42 +41,42 @@ class Alignment:
 
 
 def align(
-    points: npt.ArrayLike, target: Nearest, *, start: Alignment | None = None, steps: int = 200, samples: int = 2000,
-    keep: float = 1.0,
-) -> Alignment:  # fmt: skip
+    points: npt.ArrayLike, target: Nearest, *, start: Alignment | None = None, keep: float = 1.0, steps: int = STEPS
+) -> Alignment:
     """Align points (n, 3) [mm] with a surface by iterated closest points."""
     # Source: P. J. Besl and N. D. McKay, IEEE TPAMI 14 (1992) 239. The first steps match points with their nearest
     # points; the others use the distances to the nearest faces (Y. Chen and G. Medioni, Image Vis. Comput. 10 (1992)
     # 145), which lets them slide. It finds the nearest of several fits; a start within 10° and a tenth of the part is
-    # good. start: initial motion. samples: points used, drawn with a fixed seed. keep: share of the points, those with
-    # the smallest distances, that each step uses: below 1 for damaged prints.
+    # good. start: initial motion. keep: share of the points, those with the smallest distances, that each step uses:
+    # below 1 for damaged prints. At most `SAMPLES` points are used, drawn with a fixed seed.
+    from scipy.spatial.transform import Rotation
+
     cloud = as_points(points)
     if len(cloud) < 3:
         raise BadInput(f"got {len(cloud)} points to align; expected at least 3, better thousands")
     if not 0.1 <= keep <= 1.0:
         raise BadInput(f"keep is {keep!r}; expected a share of the points in 0.1..1")
-    most, size = counts("steps", (steps,), 1)[0], counts("samples", (samples,), 1)[0]
-    if len(cloud) > size:
-        cloud = cloud[np.random.default_rng(0).choice(len(cloud), size, replace=False)]
+    if len(cloud) > SAMPLES:
+        cloud = cloud[np.random.default_rng(0).choice(len(cloud), SAMPLES, replace=False)]
     rotation, shift = (np.eye(3), np.zeros(3)) if start is None else (start.rotation, start.shift)
     extent = float(np.linalg.norm(np.ptp(cloud, axis=0)))
-    best, last = Alignment(rotation, shift, np.inf, 0), most
+    best, last = Alignment(rotation, shift, np.inf, 0), steps
     moved = rms = np.inf
-    for step in range(1, most + 1):
+    for step in range(1, steps + 1):
         at = cloud @ rotation.T + shift
         found = target(at, exact=step > _ROUGH)
         chosen = np.argsort(np.abs(found.distance), kind="stable")[: max(3, int(keep * len(at)))]
         rms = float(np.sqrt(np.mean(found.distance[chosen] ** 2)))
         if step > _ROUGH and rms < best.rms:
             last = step + _PATIENCE if rms < (1.0 - _BETTER) * best.rms else last
-            best = Alignment(_orthogonal(rotation), shift, rms, step)
-        if step > _ROUGH and (moved <= _SETTLED * extent or step >= last < most):
+            best = Alignment(Rotation.from_matrix(rotation).as_matrix(), shift, rms, step)  # without rounding errors
+        if step > _ROUGH and (moved <= _SETTLED * extent or step >= last < steps):
             return best
         turn, move = (_matched if step <= _ROUGH else _slid)(at[chosen], found.point[chosen], found.normal[chosen])
         rotation, shift = turn @ rotation, turn @ shift + move
         moved = float(np.linalg.norm(cloud @ rotation.T + shift - at, axis=1).max())
     raise BadInput(
-        f"the alignment did not settle in {most} steps: the last one moved points by up to {moved:.3g} mm at an RMS "
+        f"the alignment did not settle in {steps} steps: the last one moved points by up to {moved:.3g} mm at an RMS "
         f"distance of {rms:.3g} mm; turn and move the print roughly into place first (start=), or allow more steps"
     )
 
@@ -93,27 +93,13 @@ def _matched(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
 
 def _slid(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
     """The small motion that brings points closest to the tangent planes at their nearest points."""
+    from scipy.spatial.transform import Rotation
+
     middle = points.mean(axis=0)
     size = float(np.sqrt(np.mean((points - middle) ** 2))) or 1.0
     rows = np.concatenate([np.cross(points - middle, normals) / size, normals], axis=1)
     u, s, vt = np.linalg.svd(rows, full_matrices=False)
     goal = u.T @ np.einsum("ni,ni->n", feet - points, normals)
     motion = vt.T @ (goal * s / (s**2 + (_DAMPING * s[0]) ** 2))
-    turn = _rotation(motion[:3] / size)
+    turn = Rotation.from_rotvec(motion[:3] / size).as_matrix()
     return turn, middle - turn @ middle + motion[3:]
-
-
-def _rotation(vector: Array) -> Array:
-    """Rotation matrix of a rotation vector [rad]."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-
-
-def _orthogonal(matrix: Array) -> Array:
-    """The nearest rotation, to remove accumulated rounding errors."""
-    u, _, vt = np.linalg.svd(matrix)
-    return u @ vt

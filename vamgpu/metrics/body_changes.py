@@ -88,7 +88,7 @@ def _shared(a: Runs, number_a: Indices, b: Runs, number_b: Indices) -> _Table:
 
 
 def _main(table: _Table, number: int) -> Indices:
-    """The second label that shares most voxels with each first one, (number,); 0 if there is none."""
+    """For each first label, the second label that shares most voxels with it, (number,); 0 if there is none."""
     one, other, shared = table
     order = np.argsort(shared, kind="stable")  # the largest is written last
     main = np.zeros(number + 1, np.int64)
@@ -106,7 +106,8 @@ def _holes(part: Topology, printed: Topology, table: _Table, lost: npt.NDArray[n
     _, group = connected_components(coo_array((np.ones(len(ends[0]), np.int8), ends), (size, size)), directed=False)
     counted = np.where(lost, 0, part.holes)
     change = np.bincount(group, np.concatenate([-counted, printed.holes])).astype(np.int64)
-    return int(-change[change < 0].sum()), int(change[change > 0].sum())
+    opened = int(change[change > 0].sum())
+    return int(-change[change < 0].sum()), max(opened - part.pierced, 0)
 
 
 def _cavities(part: Topology, printed: Topology) -> tuple[int, int]:

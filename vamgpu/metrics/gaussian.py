@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
+from vamgpu.schema.quantities import numeric
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +33,10 @@ def fit_gaussian(values: npt.ArrayLike, bins: int = 100, limits: tuple[float, fl
     # limits: of the histogram; by default four standard deviations about the mean, but not beyond the values.
     from scipy.optimize import curve_fit
 
-    data = np.asarray(values, np.float64).ravel()
+    data = numeric("values", values, (), "finite numbers").ravel()
     number = counts("bins", (bins,), 1)[0]
-    if number < 4 or data.size < 10 or not np.isfinite(data).all():
-        bad = np.count_nonzero(~np.isfinite(data))
-        raise BadInput(
-            f"got {data.size} values, {bad} of them not finite, and {number} bins; expected 10 finite values and 4 bins"
-        )
+    if number < 4 or data.size < 10:
+        raise BadInput(f"got {data.size} values and {number} bins; expected at least 10 values and 4 bins")
     middle, spread = float(data.mean()), float(data.std())
     if spread <= 1e-12 * max(1.0, abs(middle)):
         raise BadInput(f"all {data.size} values are {middle:g}; expected some spread for a Gaussian")

@@ -32,13 +32,11 @@ def mean_brightness(light: DeviceArray, full: float | None = None) -> float:
     return float(ends.total[0, IN]) / prod(light.shape) / peak if peak > 0 else 0.0
 
 
-def outside_over_inside(
-    dose: DeviceArray, target: DeviceArray, *, level: float = 0.5, reach: float | None = None
-) -> float:
+def outside_over_inside(dose: DeviceArray, target: DeviceArray) -> float:
     """Mean dose of the judged voxels outside the part over the mean of those in it."""
     # 0 if all light goes to the part, 1 if the void gets as much per volume. A method that lights everything equally is
-    # bright, but not better. dose [x, y, z]; target [x, y, z]; reach [voxels]
-    parts = Parts(dose, target, level, reach)
+    # bright, but not better. dose [x, y, z]; target [x, y, z]
+    parts = Parts(dose, target)
     total = extremes(parts).total[0]
     count = above(parts, 0.0)[0].sum(axis=1)
     mean = [float(total[side]) / max(int(count[side]), 1) for side in (OUT, IN)]

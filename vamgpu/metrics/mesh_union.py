@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vamgpu.targets.repair import bodies, repaired
-from vamgpu.targets.shapes.csg import from_triangles, union
+from vamgpu.targets.shapes.csg import from_triangles, triangles, union
 from vamgpu.targets.solid import Solid
 
 
@@ -31,11 +31,9 @@ def joined(solid: Solid) -> Solid:
         around = np.flatnonzero((boxes[:, 0] <= low).all(axis=1) & (boxes[:, 1] >= high).all(axis=1))
         if around.size:
             owner = int(around[np.prod(np.ptp(boxes[around], axis=1), axis=1).argmin()])
-            mesh = cavity.to_mesh64()
-            faces = np.asarray(mesh.tri_verts)[:, ::-1]
-            outer[owner] -= from_triangles(np.asarray(mesh.vert_properties)[:, :3], faces)
-    mesh = union(outer).to_mesh64()
-    return Solid(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), solid.name)
+            vertices, faces = triangles(cavity)
+            outer[owner] -= from_triangles(vertices, faces[:, ::-1])
+    return Solid(*triangles(union(outer)), solid.name)
 
 
 def _overlap(boxes: np.ndarray) -> bool:

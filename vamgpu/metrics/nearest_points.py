@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.metrics.triangle_search import Array, TriangleSearch, barycentric
+from vamgpu.schema.quantities import numeric
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
 
-__all__ = ["Array", "NearestPoints", "Nearest", "as_points", "barycentric"]
+__all__ = ["Array", "NearestPoints", "Nearest", "as_points", "barycentric", "nearest"]
 
 Indices = npt.NDArray[np.int64]
 
@@ -63,13 +65,17 @@ class Nearest:
         return normal
 
 
+@lru_cache(maxsize=1)
+def nearest(solid: Solid, longest: float) -> Nearest:
+    """The search over a solid, which a report asks for twice: for thin regions, and for distances."""
+    return Nearest(solid, longest)
+
+
 def as_points(points: npt.ArrayLike) -> Array:
     """Points as float64 (n, 3), n ≥ 1, or `BadInput`."""
-    array = np.asarray(points, np.float64)
-    if array.ndim != 2 or array.shape[1:] != (3,) or not len(array):
+    array = numeric("points", points, (2,), "finite coordinates (n, 3) [mm]: drop points that are not")
+    if array.shape[1] != 3:
         raise BadInput(f"points have shape {array.shape}; expected (n, 3) with n ≥ 1 [mm]")
-    if not np.isfinite(array).all():
-        raise BadInput(f"{np.count_nonzero(~np.isfinite(array).all(axis=1))} points are NaN or infinite; drop them")
     return array
 
 

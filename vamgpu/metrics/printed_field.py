@@ -29,12 +29,16 @@ class PrintedField:
     threshold: float  # resin prints from this dose on
     runs: Runs  # voxels that reach it
 
-    def printed(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether the dose at points (n, 3) [mm], linear between voxels' centers, reaches the threshold."""
+    def dose(self, points: Array) -> npt.NDArray[np.float32]:
+        """The dose at points (n, 3) [mm], linear between voxels' centers."""
         from scipy.ndimage import map_coordinates
 
         at = ((points - self.origin) / self.pitch).T
-        return map_coordinates(self.values, at, order=1, mode="constant", cval=0.0) >= self.threshold
+        return np.asarray(map_coordinates(self.values, at, order=1, mode="constant", cval=0.0), np.float32)
+
+    def printed(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Whether the dose at points (n, 3) [mm] reaches the threshold."""
+        return self.dose(points) >= self.threshold
 
     def triangles(self) -> Array:
         """The surface of the print, (m, 3, 3) [mm], by marching cubes in slabs; m = 0 if nothing prints."""

@@ -1,4 +1,4 @@
-"""Volumes of voxels as runs along z, of which a part has hundreds of times fewer than voxels."""
+"""Volumes of voxels as runs along z; a part has hundreds of times fewer runs than voxels."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _PIECE = 1 << 21
 class Runs:
     """The voxels of a volume, as runs along z in the order of the volume; runs of one column have gaps between them."""
 
-    # A voxel's place is (x·(ny + 1) + y)·(nz + 1) + z. No voxel has the places behind each column and behind each
-    # plane: one step along any axis never leads to a voxel that is no neighbor.
+    # A voxel's place is (x·(ny + 1) + y)·(nz + 1) + z. The place behind each column and each plane is free: one step
+    # along any axis leads only to neighbors.
 
     shape: Shape  # of the volume
     start: Indices  # place of each run's first voxel, (n,)
@@ -56,7 +56,7 @@ class Runs:
         return self.index.min(axis=1), np.array([x.max() + 1, y.max() + 1, (z + self.length).max()])
 
     def holding(self, place: Indices) -> Indices:
-        """The run that each place (n,) lies in, −1 if in none."""
+        """Number of the run that contains each place (n,), or −1."""
         run = np.searchsorted(self.start, place, "right") - 1
         return np.where((run >= 0) & (place < np.append(self.stop, 0)[run]), run, -1)
 
@@ -81,7 +81,7 @@ class Runs:
 
     def meeting(self, other: Runs, step: int = 0, beside: int = 0) -> tuple[Indices, Indices]:
         """Pairs of a run, moved by a step of places, and one of another volume that share a voxel."""
-        # beside: voxels along z that may lie between, less one: 1 where a step leads to neighbors across edges
+        # beside: 1 to include runs that meet only at an edge or a corner
         first = np.searchsorted(other.stop, self.start + (step - beside), "right")
         count = np.searchsorted(other.start, self.stop + (step + beside), "left") - first
         own = np.repeat(np.arange(len(count)), count)

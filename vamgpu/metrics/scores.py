@@ -27,7 +27,7 @@ class Scores:
         error_rate: VER, judged voxels on the wrong side of that threshold over all.
         overlap_rate: Voxels outside the part with at least the least dose in it, over all (C. Rackson et al., Addit.
             Manuf. 48 (2021) 102367).
-        dose_range: IPDR, greatest − least dose in the part over ``peak``. least_in, greatest_in,.
+        dose_range: IPDR, greatest − least dose in the part over ``peak``.
         least_in, greatest_in, greatest_out, peak: Least and greatest dose in the part, greatest outside, and greatest
             of all.
         total_in: Σ dose over the part.
@@ -58,21 +58,12 @@ class Scores:
         return self.windows.strict
 
 
-def score(
-    dose: DeviceArray,
-    target: DeviceArray,
-    *,
-    level: float = 0.5,
-    reach: float | None = None,
-    threshold: float | None = None,
-) -> Scores:
+def score(dose: DeviceArray, target: DeviceArray, *, threshold: float | None = None) -> Scores:
     """Judge a dose by a target.
 
     Args:
         dose: Dose [x, y, z] on a device.
         target: Fractions [x, y, z] on the same device.
-        level: Fraction from which a voxel is in the part.
-        reach: Radius [voxels] of the judged cylinder; the inscribed one by default.
         threshold: Dose from which a voxel counts as printed; the best one by default.
 
     Returns:
@@ -81,7 +72,7 @@ def score(
     Raises:
         BadInput: The target has no voxel in the cylinder.
     """
-    parts = Parts(dose, target, level, reach)
+    parts = Parts(dose, target)
     ends = extremes(parts)
     counts = _voxels(parts)
     at = float(np.float32(best_threshold(parts, ends, counts) if threshold is None else threshold))
@@ -122,8 +113,10 @@ def _voxels(parts: Parts) -> tuple[int, int]:
 def best_threshold(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> float:
     """The threshold with the greatest intersection over union of print and part, a float32 number."""
     # If the doses of part and void do not overlap, it is midway between them. Otherwise the overlapping range of doses
-    # is searched: each pass refines the bins inside which the intersection over union could still rise.
+    # is searched: each pass refines the bins inside which the intersection over union could still rise. No threshold
+    # prints a voxel without light.
     least, greatest = float(ends.least[0, IN]), float(ends.greatest[0, OUT])
+    least = least if least > 0.0 else float(ends.greatest.max()) / BINS
     if least > greatest:
         return _between(max(greatest, 0.0), least)
     low, high = least, float(np.nextafter(np.float32(greatest), np.float32(np.inf)))
@@ -134,7 +127,9 @@ def best_threshold(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> flo
         ious = reached[IN] / np.maximum(voxels[IN] + reached[OUT], 1)
         if ious.max() > found:
             found = float(ious.max())
-            best = float(np.median(edges[_longest_run(ious == found)]))
+            index = np.flatnonzero(ious == found)
+            longest = max(np.split(index, np.flatnonzero(np.diff(index) > 1) + 1), key=len)
+            best = float(np.median(edges[longest]))
         bound = reached[IN, :-1] / np.maximum(voxels[IN] + reached[OUT, 1:], 1)
         open_bins = np.flatnonzero(bound > found)
         if not open_bins.size:
@@ -147,9 +142,3 @@ def _between(low: float, high: float) -> float:
     """A float32 number above low and at most high, midway if there is one."""
     middle = float(np.float32(0.5 * (low + high)))
     return middle if low < middle <= high else high
-
-
-def _longest_run(chosen: np.ndarray) -> np.ndarray:
-    """Indices of the longest run of True."""
-    index = np.flatnonzero(chosen)
-    return max(np.split(index, np.flatnonzero(np.diff(index) > 1) + 1), key=len)

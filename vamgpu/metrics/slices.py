@@ -38,21 +38,18 @@ class SliceScores:
     excess: np.ndarray
 
 
-def score_slices(
-    dose: DeviceArray, target: DeviceArray, whole: Scores, *, level: float = 0.5, reach: float | None = None
-) -> SliceScores:
+def score_slices(dose: DeviceArray, target: DeviceArray, whole: Scores) -> SliceScores:
     """Judge every slice of a dose with the threshold and the peak of the volume.
 
     Args:
         dose: Dose [x, y, z] on a device.
         target: Fractions [x, y, z] on the same device.
         whole: Scores of the volume.
-        level, reach: As for `score`, a fraction and a radius [voxels].
 
     Returns:
         The scores of the slices.
     """
-    parts = Parts(dose, target, level, reach)
+    parts = Parts(dose, target)
     ends = extremes(parts, per_slice=True)
     counts = above(parts, whole.threshold, per_slice=True)
     voxels = counts.sum(axis=2)

@@ -19,6 +19,7 @@ from vamgpu.metrics.alignment import Alignment, align
 from vamgpu.metrics.gaussian import Gaussian, fit_gaussian
 from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 from vamgpu.metrics.triangle_search import double_areas, drawn_on
+from vamgpu.schema.quantities import numeric
 from vamgpu.targets.solid import Solid
 
 POINTS = 20_000
@@ -94,9 +95,8 @@ def iso_solid(
     # pitch: voxel edges [mm]. Coordinates [mm] count from the middle of the grid.
     from skimage.measure import marching_cubes
 
-    values = np.asarray(field.numpy() if isinstance(field, DeviceArray) else field, np.float64)
-    if values.ndim != 3 or not values.size or not np.isfinite(values).all():
-        raise BadInput(f"the field has shape {values.shape} and must be finite; expected three axes of numbers")
+    given = field.numpy() if isinstance(field, DeviceArray) else field
+    values = numeric("the field", given, (3,), "three axes of finite numbers")
     edges = np.array([positive("pitch [mm]", p) for p in np.broadcast_to(np.asarray(pitch, np.float64), 3)])
     if not values.max() > level:
         raise EmptyMesh(f"the field reaches {values.max():g}, which is not above the level of {level:g}: lower it")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
-from math import isnan, nan
+from dataclasses import dataclass, field, replace
+from math import inf, isnan, nan
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +17,15 @@ from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.mesh_runs import mesh_runs
 from vamgpu.metrics.mesh_union import joined
-from vamgpu.metrics.nearest_points import Nearest
+from vamgpu.metrics.nearest_points import Nearest, nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
 from vamgpu.metrics.runs import Runs
+from vamgpu.metrics.steadiness import Print
 from vamgpu.metrics.surface_distance import iso_solid
 from vamgpu.metrics.thin_regions import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.topology import Topology, topology
 from vamgpu.metrics.triangle_search import Array, TriangleSearch, drawn_on
-from vamgpu.metrics.walls import walls
+from vamgpu.metrics.walls import Walls, walls
 from vamgpu.targets.repair import bodies
 from vamgpu.targets.solid import Solid
 
@@ -35,17 +36,17 @@ _DENSE = 300_000
 _PER_VOXEL_FACE = 1.0
 _CANDIDATES = 500
 _PIECES = 128
-"""Greatest number of pieces of triangles compared with a point; more matter only if equally far from a whole part."""
+"""Greatest number of pieces of triangles compared with a point; only points equally far from a whole part need more."""
 _WIDEST = 4.0
-"""Thickness, in voxels of the part, above which nothing counts as a wall."""
+"""Thickness, in voxels of the part, above which nothing counts as a wall by default."""
 
 
 @dataclass(frozen=True)
 class WallChanges:
     """Walls of a part that were printed and that were lost, by thickness [mm]; NaN if there are none."""
 
-    # A wall is thinner than four of the part's voxels. It is lost if the dose in its middle stays below the threshold.
-    # A sharp edge, which tapers to zero thickness, also counts as a wall.
+    # A wall is thinner than four of the part's voxels, or four pixels. It is lost if the dose in its middle stays below
+    # the threshold. A sharp edge, which tapers to zero thickness, also counts as a wall.
 
     share_lost: float  # share of the area of all walls, 0..1
     thinnest_lost: float
@@ -66,6 +67,8 @@ class SurfaceJudgement:
     walls: WallChanges  # walls of the part that were lost
     changes: BodyChanges  # bodies, holes and cavities that were lost, joined or gained
     unjudged: Unjudged  # features too thin for the part's voxels
+    # lowest and highest one at which bodies, holes, walls and gaps are no worse; None, not measured, if a body is wrong
+    thresholds: tuple[float, float] | None
 
     @property
     def mean(self) -> float:
@@ -90,14 +93,11 @@ class SurfaceJudgement:
     def lines(self) -> tuple[Line, ...]:
         """Every number with its meaning."""
         w, c = self.walls, self.changes
-        greatest = (
-            "nothing prints" if isnan(self.mean) else f"+{length(self.greatest_excess)} −{length(self.greatest_lack)}"
-        )
-        lost = (
-            f"{length(w.thinnest_lost)}–{length(w.thickest_lost)}, {100 * w.share_lost:.2g} %"
-            if w.share_lost
-            else "none"
-        )
+        greatest, lost = "nothing prints", "none"
+        if not isnan(self.mean):
+            greatest = f"+{length(self.greatest_excess)} −{length(self.greatest_lack)}"
+        if w.share_lost:
+            lost = f"{length(w.thinnest_lost)}–{length(w.thickest_lost)}, {100 * w.share_lost:.2g} %"
         bodies = f"{c.bodies_lost} + {c.bodies_merged} + {c.bodies_broken} + {c.bodies_extra} of {c.bodies}"
         thin = "none"
         if self.unjudged:
@@ -120,11 +120,13 @@ class SurfaceJudgement:
 def judge_surface(
     dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: DeviceArray | npt.ArrayLike,
     grid: Grid, solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
+    widest: float = 0.0, between: tuple[float, float] = (0.0, inf),
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part."""
     # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities are
     # compared on voxels of the dose's grid; thinner ones are not compared. `unjudged` reports features thinner than the
-    # part's voxels. dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
+    # part's voxels. dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]; widest wall, if more than four
+    # voxels [mm]; between: limits of the thresholds that are searched
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
         solid = None if solid is None else joined(solid)
@@ -139,20 +141,21 @@ def judge_surface(
         if solid is None:  # a surface made from voxels, which the user cannot repair
             warnings.simplefilter("ignore", MeshWarning)
         near, own, there = together(
-            lambda: Nearest(part, 0.5 * grid.pitch),
+            lambda: nearest(part, 0.5 * grid.pitch),
             lambda: _own_bodies(part, topology(inside), around),
             lambda: topology(around.runs),
         )
     changes = body_changes(own, there, around.pitch**3)
     points, face = drawn_on(near.search.corners, number, near.search.areas)
-    lost_walls = _walls(near, points, face, around, _WIDEST * grid.pitch)
+    widest = max(_WIDEST * grid.pitch, widest)
+    thick, wide = (walls(near.search, points, near.normals[face], widest, gaps) for gaps in (False, True))
+    thresholds = Print(around, own, changes, (thick, wide)).thresholds(*between)
+    others = _wall_changes(thick, around), changes, thin, thresholds
     if printed is None:
-        return SurfaceJudgement(np.zeros(0), nan, nan, lost_walls, changes, thin)
+        return SurfaceJudgement(np.zeros(0), nan, nan, *others)
 
     distances, most = _distances(near, points, printed, inside, around)
-    return SurfaceJudgement(
-        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
-    )  # fmt: skip
+    return SurfaceJudgement(distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), *others)
 
 
 def _distances(
@@ -178,8 +181,8 @@ def _distances(
 
 
 def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
-    """Bodies on voxels, merged if they belong to one body of the mesh: voxels can break a thin wall."""
-    if found.bodies < 2:
+    """Bodies on voxels, merged if they belong to one body of the mesh: voxels can break, or pierce, a thin wall."""
+    if found.bodies < 2 and not found.holes.any():
         return found
     number = bodies(part.faces, len(part.vertices))
     cuts = np.bincount(number).cumsum()[:-1]
@@ -187,6 +190,9 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
     pieces = [np.unique(faces, return_inverse=True) for faces in parted]
     meshes = [Solid(part.vertices[used], own.reshape(-1, 3).astype(np.int32)) for used, own in pieces]
     genus = np.array([1 - len(one.vertices) // 2 + len(one.faces) // 4 for one in meshes])  # of closed surfaces
+    if found.bodies < 2:
+        real = found.holes if len(meshes) > 1 else np.minimum(found.holes, genus)
+        return replace(found, holes=real, pierced=int((found.holes - real).sum()))
     group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
     sizes = [np.ptp(one.vertices, axis=0).prod() for one in meshes]
     for k in np.argsort(np.negative(sizes)):  # a cavity comes after its shell
@@ -198,11 +204,8 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
     return found.together(group, genus)
 
 
-def _walls(
-    near: Nearest, points: Array, face: npt.NDArray[np.int64], around: PrintedField, widest: float
-) -> WallChanges:
-    """Thickness of the part at points of its surface, divided by whether its middle prints there."""
-    found = walls(near.search, points, near.normals[face], widest)
+def _wall_changes(found: Walls, around: PrintedField) -> WallChanges:
+    """Thickness of the part's walls, divided by whether their middle prints."""
     printed = around.printed(found.center)
     lost, kept = found.thickness[found.is_wall & ~printed], found.thickness[found.is_wall & printed]
     return WallChanges(

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Grid
-from vamgpu.metrics.triangle_search import Array, TriangleSearch, double_areas, drawn_on
+from vamgpu.metrics.nearest_points import nearest
+from vamgpu.metrics.triangle_search import Array, double_areas, drawn_on
 from vamgpu.metrics.walls import walls
 from vamgpu.targets.solid import Solid
 
@@ -104,7 +105,8 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
     doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals, around=False)
     if not doubtful.any():
         return []
-    found = walls(TriangleSearch(corners, 0.5 * grid.pitch), points[doubtful], normals[doubtful], _WIDEST * grid.pitch)
+    surface = nearest(solid, 0.5 * grid.pitch).search
+    found = walls(surface, points[doubtful], normals[doubtful], _WIDEST * grid.pitch)
     lost = found.is_wall & ~_shown(part, grid, found.center, around=True)
     return _regions(found.center[lost], found.thickness[lost], part, grid)
 
@@ -142,7 +144,8 @@ def _in_voxels(part: np.ndarray, grid: Grid) -> list[ThinRegion]:
     from scipy.ndimage import binary_dilation, find_objects, label
 
     cube = np.ones((3, 3, 3))
-    part, first = _cropped(part)
+    box = next(iter(find_objects((part > 0).astype(np.int8))), (slice(0, 1),) * 3)  # around all partly filled voxels
+    part, first = part[box], [cut.start for cut in box]
     alone = (part > 0) & np.logical_not(binary_dilation(part >= IN_THE_PART, cube))
     labels: Any = label(alone, cube)
     volume = np.bincount(labels[0].ravel(), part.ravel())[1:] * grid.voxel_volume
@@ -167,12 +170,3 @@ def _shown(part: np.ndarray, grid: Grid, points: Array, around: bool) -> npt.NDA
         inside = ((index >= 0) & (index < grid.shape)).all(axis=1)
         shown[inside] |= part[tuple(index[inside].T)] >= IN_THE_PART
     return shown
-
-
-def _cropped(part: np.ndarray) -> tuple[np.ndarray, list[int]]:
-    """The box of voxels around all partly filled ones, and the index of its first voxel."""
-    cut = []
-    for axis in range(3):
-        along = np.flatnonzero(part.any(axis=tuple(k for k in range(3) if k != axis)))
-        cut.append(slice(int(along[0]), int(along[-1]) + 1) if along.size else slice(0, 1))
-    return part[tuple(cut)], [one.start for one in cut]

@@ -6,34 +6,32 @@ every point of the resin; at a tolerance, W ignores points closer to the surface
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import chain
-from math import ceil
-from typing import Any, Protocol
+from math import ceil, inf
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cores import ahead
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, counts, positive
-from vamgpu.metrics.depth import signed_depth, surrounded
+from vamgpu.kernels.depth import tally_depths
+from vamgpu.metrics.depth import depth_field, signed_depth, surrounded
 from vamgpu.metrics.interpolation import interpolated
 
 Array = npt.NDArray[np.floating]
-Depth = Callable[[Array, Array, Array], Callable[[], Array]]
-"""Function of three axes [mm]; returns the signed depth [mm] of points in the part, > 0 inside, [x, y, z]."""
+Depth = Callable[[Array, Array, Array], DeviceArray]
+"""Function of three axes [mm]; returns the signed depth [mm] of points in the part, > 0 inside, a field [x, y, z];
+`NO_DEPTH` for points that do not count."""
 
 WIDEST = 2.0
 """Largest tolerance of the curve, in voxels."""
 BINS = 128
 """Number of steps of the curve; an even number puts half a voxel on a step."""
-VOXELS, SLICES = 1 << 24, (16, 64)
-"""Voxels that a thread judges at a time, and least and greatest number of slices; depths also need slices around."""
-BESIDE, MEMORY = 24, 1 << 32
-"""Bytes that computing the depth takes per voxel, and limit of all threads."""
 _ROUNDING = 1e-4
 """Tolerance, in voxels, for the comparison of a depth with a step."""
 
@@ -54,7 +52,9 @@ class Slab(Protocol):
 class Part(Protocol):
     """A part that can give its fractions on other voxels; a `Target` is one."""
 
-    def resampled(self, grid: Grid, shift: tuple[float, float, float] = ...) -> Any:
+    def resampled(
+        self, grid: Grid, shift: tuple[float, float, float] = ..., device: Device | None = ...
+    ) -> DeviceArray:
         """Filled share of every voxel of ``grid`` [x, y, z], whose middle is moved by ``shift``."""
         ...
 
@@ -80,10 +80,9 @@ class ToleranceWindow:
         return float(self.window[self._step(distance)])
 
     def limits(self, distance: float) -> tuple[float, float]:
-        """Least dose in the part and greatest outside at a tolerance [mm]. Raises `BadInput` beyond the last step."""
-        # If no voxel is that deep, the least dose is that of the deepest voxels.
-        step, deepest = self._step(distance), int(np.flatnonzero(self.judged)[-1])
-        return float(self.least_in[min(step, deepest)]), float(self.greatest_out[step])
+        """Least dose in the part (infinite if it is thinner) and greatest outside at a tolerance [mm]."""
+        step = self._step(distance)
+        return float(self.least_in[step]), float(self.greatest_out[step])
 
     def judged_at(self, distance: float) -> float:
         """Share of the part's volume that W at a tolerance [mm] judges. Raises `BadInput` beyond the last step."""
@@ -105,75 +104,46 @@ def tolerance_window(
     bins: int = BINS,
     reach: float | None = None,
 ) -> ToleranceWindow:
-    """Judge a dose slab by slab; memory holds a slab for each thread, and a few of its slices."""
+    """Judge a dose slab by slab, on the device of the depths."""
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
     tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
-
-    def tallied(piece: _Piece) -> _Tally:
-        dose, disc, found = piece
-        own = _Tally(voxel, reach, bins)
-        own.add(dose, found(), disc)
-        return own
-
-    pieces = _pieces(slabs, depth, radius)
-    for first in pieces:
-        for own in ahead(tallied, chain([first], pieces), max(MEMORY // (BESIDE * first[0].size), 1)):
-            tally.take(own)
-    return tally.result()
-
-
-_Piece = tuple[Array, npt.NDArray[np.bool_] | None, Callable[[], Array]]
-
-
-def _pieces(slabs: Iterable[Slab], depth: Depth, radius: float | None) -> Iterator[_Piece]:
-    """Doses of a few slices of slabs at a time, the columns [x, y] that count, and the function for their depths."""
     for slab in slabs:
-        dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
-        if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
-            raise BadInput(f"a slab's dose has shape {dose.shape}; expected the lengths of its axes, [x, y, z]")
-        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
-        each = int(np.clip(VOXELS // (len(slab.x) * len(slab.y)), *SLICES))
-        for first in range(0, len(slab.z), each):
-            some = slice(first, first + each)
-            yield dose[:, :, some], disc, depth(slab.x, slab.y, slab.z[some])
+        if slab.dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
+            raise BadInput(f"a slab's dose has shape {slab.dose.shape}; expected the lengths of its axes, [x, y, z]")
+        disc = np.hypot(slab.x[:, None], slab.y) <= (inf if radius is None else radius * (1.0 + 1e-9))
+        tally.add(slab.dose, depth(slab.x, slab.y, slab.z), disc)
+    return tally.result()
 
 
 class _Tally:
     """Least and greatest doses by distance from the surface."""
 
     def __init__(self, voxel: float, reach: float, bins: int) -> None:
-        self.voxel, self.width, self.bins = voxel, reach / bins, bins
-        self.least = np.full(bins + 1, np.inf)
-        self.greatest = np.full(bins + 1, -np.inf)
+        self.width, self.bins = reach / bins, bins
+        self.rounding = _ROUNDING * voxel / self.width
+        self.least, self.greatest = np.full(bins + 1, inf), np.full(bins + 1, -inf)
         self.count = np.zeros(bins + 1, np.int64)
         self.peak = 0.0
 
-    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
-        """Count doses [x, y, z] at depths [mm], NaN without limits; disc: columns [x, y] that count, None for all."""
-        if not np.isfinite(dose).all():
+    def add(self, dose: Array | DeviceArray, depth: DeviceArray, disc: npt.NDArray[np.bool_]) -> None:
+        """Count doses [x, y, z] at depths [mm]; disc: columns [x, y] that count, in one piece along y."""
+        device = depth.device
+        field = dose if isinstance(dose, DeviceArray) else device.upload(dose)
+        field = field if field.device is device else device.upload(field.numpy())
+        begin = disc.argmax(axis=1)
+        ends = device.table(np.stack([begin, begin + disc.sum(axis=1)], axis=1), "int32")
+        shape = device.items(tally_depths, field.shape), self.bins + 2  # type: ignore[arg-type]
+        least, greatest = (device.empty(shape, device.kept("float32"), table=True) for _ in range(2))
+        found = {"least": least, "greatest": greatest, "counts": device.empty(shape, "uint32", table=True)}
+        given = {"ends": ends, "width": self.width, "rounding": self.rounding}
+        device.launch(tally_depths, dose=field, depth=depth, **given, **found)
+        low, high = least.numpy().min(axis=0), greatest.numpy().max(axis=0)
+        if np.isnan(high[-1]):
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
-        if disc is not None:
-            dose, depth = dose[disc], depth[disc]
-        known = ~np.isnan(depth)
-        if not known.all():
-            dose, depth = dose[known], depth[known]
-        self.peak = max(self.peak, float(dose.max(initial=0.0)))
-        far = self.width * self.bins
-        for inside, ends, best in ((depth >= 0, self.least, np.minimum), (depth < 0, self.greatest, np.maximum)):
-            beyond = inside & (np.abs(depth) >= far)  # most voxels, all of the last step
-            near = inside & ~beyond
-            step = (np.abs(depth[near]) / self.width + _ROUNDING * self.voxel / self.width).astype(np.int64)
-            best.at(ends, step := np.minimum(step, self.bins), dose[near].astype(np.float64))
-            ends[-1] = best.reduce(dose[beyond], initial=ends[-1])
-            if best is np.minimum:
-                self.count += np.bincount(step, minlength=self.bins + 1)
-                self.count[-1] += np.count_nonzero(beyond)
-
-    def take(self, other: _Tally) -> None:
-        """Add the counts of another histogram."""
-        self.least, self.greatest = np.minimum(self.least, other.least), np.maximum(self.greatest, other.greatest)
-        self.count, self.peak = self.count + other.count, max(self.peak, other.peak)
+        self.peak = max(self.peak, float(high[-1]))
+        self.least, self.greatest = np.minimum(self.least, low[:-1]), np.maximum(self.greatest, high[:-1])
+        self.count += found["counts"].numpy().sum(axis=0, dtype=np.int64)[:-1]
 
     def result(self) -> ToleranceWindow:
         if not self.count.any():
@@ -188,18 +158,18 @@ class _Tally:
         )
 
 
-# ---- depths ----------------------------------------------------------------------------------------------------
-def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | None = None) -> Depth:
+def depth_of_target(
+    target: Part, pitch: float, voxel: float, reach: float | None = None, device: Device | None = None
+) -> Depth:
     """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm]."""
     # pitch [mm]; voxel [mm]; reach [mm]
     reach = (WIDEST * voxel if reach is None else reach) / pitch + 0.5
     halo = ceil(reach) + 2
 
-    def depth(x: Array, y: Array, z: Array) -> Callable[[], Array]:
-        middle = (_middle(x), _middle(y), _middle(z))
+    def depth(x: Array, y: Array, z: Array) -> DeviceArray:
         grid = Grid((len(x), len(y), len(z) + 2 * halo), pitch)
-        fraction = target.resampled(grid, middle).numpy()
-        return lambda: signed_depth(fraction, reach)[:, :, halo:-halo] * np.float32(pitch)
+        fraction = target.resampled(grid, (_middle(x), _middle(y), _middle(z)), device)
+        return depth_field(fraction, reach, halo, len(z), pitch)
 
     return depth
 
@@ -208,19 +178,20 @@ def _middle(axis: Array) -> float:
     return 0.5 * (float(axis[0]) + float(axis[-1]))
 
 
-def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False, reach: float | None = None) -> Depth:
+def depth_of_fractions(
+    fraction: npt.ArrayLike, grid: Grid, flat: bool = False, reach: float | None = None, device: Device | None = None
+) -> Depth:
     """Depths from the fractions of the part's own voxels, interpolated linearly between their centers."""
     # Midway between two surfaces, the depth is up to half a voxel less than the true one. fraction [x, y, z]; reach
     # [mm]
     reach = (WIDEST if reach is None else reach / grid.pitch) + 1.0
-    margin = ceil(reach) + 1
+    margin, place = ceil(reach) + 1, open_device(device)
     around = surrounded(np.asarray(fraction, np.float32), margin, flat)
-    known = signed_depth(around, reach) * np.float32(grid.pitch)
+    known = signed_depth(around, reach, place) * np.float32(grid.pitch)
     first = [axis[0] - margin * grid.pitch for axis in grid.axes()]
 
-    def depth(x: Array, y: Array, z: Array) -> Callable[[], Array]:
-        return lambda: interpolated(
-            known, [(axis - start) / grid.pitch for axis, start in zip((x, y, z), first, strict=True)]
-        )
+    def depth(x: Array, y: Array, z: Array) -> DeviceArray:
+        at = [(axis - start) / grid.pitch for axis, start in zip((x, y, z), first, strict=True)]
+        return place.upload(interpolated(known, at))
 
     return depth

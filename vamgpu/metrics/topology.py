@@ -23,6 +23,7 @@ class Topology:
     size: Indices  # voxels of each body, int64 (bodies,)
     holes: Indices  # through holes of each body (its first Betti number), int64 (bodies,): a ring has one
     cavity_size: Indices  # voxels of each cavity, int64 (cavities,)
+    pierced: int = 0  # holes that voxels leave in a thin wall, not among ``holes``
 
     @property
     def bodies(self) -> int:
@@ -56,7 +57,9 @@ def topology(runs: Runs) -> Topology:
     owners = body, body[along_y[0]], body[along_x[0]], body[along_y[0][across]]
     corners, edges_y, edges_x, faces = (np.bincount(each, minlength=size.size + 1)[1:] for each in owners)
     hollow, cavity, cavity_size = _cavities(runs.gaps())
-    inside = np.bincount(_owners(runs, body, hollow, cavity), minlength=size.size + 1)[1:]
+    _, first = np.unique(cavity, return_index=True)
+    owner = body[runs.holding(hollow.start[first] - runs.step_x)]  # the voxel before a cavity's first one along x
+    inside = np.bincount(owner, minlength=size.size + 1)[1:]
     holes = 1 + inside - (corners - edges_y - edges_x + faces)
     return Topology(runs, body, hollow, cavity, size, holes, cavity_size)
 
@@ -84,9 +87,3 @@ def _cavities(void: Runs) -> tuple[Runs, Indices, Indices]:
     closed[number[rim]] = False
     kept = closed[number]
     return Runs(void.shape, void.start[kept], void.stop[kept]), closed.cumsum()[number[kept]], size[closed[1:]]
-
-
-def _owners(runs: Runs, body: Indices, hollow: Runs, cavity: Indices) -> Indices:
-    """The body around each cavity: the voxel before the cavity's first voxel along x belongs to it."""
-    _, first = np.unique(cavity, return_index=True)
-    return body[runs.holding(hollow.start[first] - runs.step_x)]

@@ -25,7 +25,7 @@ _PARTS = 16
 _BATCH = 1 << 18
 """Number of pairs of a point and a piece in memory at a time."""
 _PIECES = 100_000
-"""Long triangles are cut until pieces are about as small as this number of equal ones."""
+"""Long triangles are cut until pieces are as small as if this number of equal ones made the surface."""
 
 
 class TriangleSearch:
@@ -76,9 +76,8 @@ class TriangleSearch:
 
     def bounds(self, points: Array) -> tuple[Array, Array]:
         """Bounds of the distances [mm] of points (n, 3); several times faster than the distances."""
-        far, piece = self._tree.query(points, workers=threads())
+        far, _ = self._tree.query(points, workers=threads())
         # The nearest middle is at least `far` away; no piece is closer than that minus its reach.
-        del piece
         return np.maximum(far - self.reach, 0.0), far
 
     def near_segments(self, starts: Array, ends: Array) -> tuple[Indices, Indices]:

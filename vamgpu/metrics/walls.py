@@ -1,4 +1,4 @@
-"""Thickness of a part's walls at points of its surface."""
+"""Thickness of a part's walls, and width of the gaps between them, at points of its surface."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ class Walls:
     center: Array  # (n, 3) [mm] halfway through the wall; the point itself where there is none
 
 
-def walls(surface: TriangleSearch, points: Array, normals: Array, widest: float) -> Walls:
-    """Thickness of a part along the inward normals of its surface."""
+def walls(surface: TriangleSearch, points: Array, normals: Array, widest: float, gaps: bool = False) -> Walls:
+    """Thickness of a part along the inward normals of its surface, or the width of its gaps along the outward ones."""
     # It is the shape diameter (L. Shapira, A. Shamir and D. Cohen-Or, Vis. Comput. 24 (2008) 249), measured by one ray.
     # A ball instead of a ray would see a square pin as a corner, because it touches neighboring sides first. points (n,
     # 3) [mm]; normals (n, 3); widest [mm]
     thickness, facing = np.full(len(points), np.inf), np.zeros(len(points))
+    if gaps:
+        normals = -normals
     for first in range(0, len(points), _RAYS):
         some = slice(first, first + _RAYS)
         ray, face = surface.near_segments(points[some], points[some] - widest * normals[some])
         start, along = points[some][ray], -normals[some][ray]
-        length, cosine = _exits(start, along, surface.corners[face])
+        length, cosine = _exits(start, along, surface.corners[face][:, :: -1 if gaps else 1])
         order = np.argsort(-length, kind="stable")  # the shortest is written last
         order = order[length[order] <= widest]
         thickness[some][ray[order]] = length[order]

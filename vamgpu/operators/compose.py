@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any, final
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
 from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.space import Space
 
 GEOMETRY = ("grid", "beam", "motion", "vessel")
 """Further attributes of a projector that optimizers and reports use."""
@@ -20,7 +18,7 @@ NO_FLOOR = -3e38
 
 
 class Derived(LinearOperator):
-    """An operator made of others, with their geometry as far as they have one."""
+    """An operator made of others, with their geometry if they have one."""
 
     grid: Any
     beam: Beam
@@ -43,7 +41,7 @@ def capped(values: DeviceArray, most: float) -> DeviceArray:
 
 
 def inherit(operator: LinearOperator, source: LinearOperator) -> None:
-    """Give ``operator`` the geometry of ``source``, as far as it has one."""
+    """Give ``operator`` the geometry of ``source``, if it has one."""
     for name in GEOMETRY:
         if hasattr(source, name):
             setattr(operator, name, getattr(source, name))
@@ -63,20 +61,15 @@ class Composed(Derived):
     `DeviceError`.
     """
 
-    outer: LinearOperator
-    inner: LinearOperator
-    domain: Space
-    range: Space
-    device: Device
-
     def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
         if outer.domain != inner.range:
             raise ShapeMismatch(
                 f"{outer!r} takes {outer.domain!r}, but {inner!r} gives {inner.range!r}; make them equal"
             )
         same_device(outer, inner)
-        self.outer, self.inner = outer, inner
-        self.domain, self.range, self.device = inner.domain, outer.range, inner.device
+        self.outer: LinearOperator = outer
+        self.inner: LinearOperator = inner
+        self._set_spaces(inner.domain, outer.range, inner.device)
         inherit(self, outer)
         inherit(self, inner)
 
@@ -102,10 +95,6 @@ class Sum(Derived):
     Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
 
-    domain: Space
-    range: Space
-    device: Device
-
     def __init__(self, terms: Sequence[LinearOperator], weights: Sequence[float] | None = None) -> None:
         if not terms or (weights is not None and len(weights) != len(terms)):
             raise BadInput(f"a sum got {len(terms)} operators and {len(weights or ())} weights; expected at least one "
@@ -117,7 +106,7 @@ class Sum(Derived):
                                     f"{terms[0].domain!r} to {terms[0].range!r}; make them equal")  # fmt: skip
         self.terms: tuple[LinearOperator, ...] = tuple(terms)
         self.weights: tuple[float, ...] = (1.0,) * len(terms) if weights is None else tuple(float(w) for w in weights)
-        self.domain, self.range, self.device = terms[0].domain, terms[0].range, terms[0].device
+        self._set_spaces(terms[0].domain, terms[0].range, terms[0].device)
         inherit(self, terms[0])
 
     def __repr__(self) -> str:

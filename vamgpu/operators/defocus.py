@@ -11,7 +11,6 @@ from typing import Any, final, overload
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Chords, Vessel, columns_of, positive
 from vamgpu.operators.blur import Blur, gaussian
@@ -21,7 +20,6 @@ from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import EQUAL, OpenAir
 from vamgpu.operators.ring_projection import RingProjection
-from vamgpu.operators.space import Space
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place, Positive
 
@@ -154,13 +152,6 @@ class Defocused(Derived):
         BadInput: An argument is of another type or out of its range.
     """
 
-    domain: Space
-    range: Space
-    device: Device
-    operator: Projection | RingProjection | Oblique
-    defocus: Defocus
-    tolerance: float
-
     def __init__(
         self, operator: Projection | RingProjection | Oblique, defocus: Defocus, tolerance: Positive = 0.02
     ) -> None:
@@ -171,8 +162,10 @@ class Defocused(Derived):
             )
         if not isinstance(defocus, Defocus):
             raise BadInput(f"Defocused got {defocus!r}; expected Defocus(fwhm=…, depth_of_focus=…)")
-        self.operator, self.defocus, self.tolerance = operator, defocus, positive("tolerance", tolerance)
-        self.domain, self.range, self.device = operator.domain, operator.range, operator.device
+        self.operator: Projection | RingProjection | Oblique = operator
+        self.defocus: Defocus = defocus
+        self.tolerance: float = positive("tolerance", tolerance)
+        self._set_spaces(operator.domain, operator.range, operator.device)
         inherit(self, operator)
         self.nodes: np.ndarray = self._chosen(self.tolerance)
         self._sum = Sum([self._part(k) for k in range(len(self.nodes))])

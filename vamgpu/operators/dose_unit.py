@@ -20,8 +20,8 @@ def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: flo
         return factor
     if absorption is None:
         raise BadInput(
-            f"{A!r} absorbs no light, so that the energy absorbed by the resin is unknown; give absorption= [1/mm], "
-            "or a vessel that absorbs"
+            f"this {type(A).__name__} absorbs no light, so that the energy absorbed by the resin is unknown; give "
+            "absorption= [1/mm], or a vessel that absorbs"
         )
     return factor * positive("absorption [1/mm]", measured("absorption", absorption, Absorption))
 

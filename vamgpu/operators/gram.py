@@ -10,10 +10,10 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.geometry import Grid
-from vamgpu.kernels.lanes import copy_slices
-from vamgpu.kernels.reduce import disc
-from vamgpu.kernels.spectrum import ROWS, gather_rings, light_rings, most_lit_first
+from vamgpu.geometry import FULL_TURN
+from vamgpu.kernels.pointwise import disc
+from vamgpu.kernels.spectrum import ROWS, gather_rings, light_rings
+from vamgpu.kernels.stack import put_slices
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.compose import combine
 from vamgpu.operators.polar import PolarGrid
@@ -21,7 +21,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.ring_projection import RingProjection, uneven_reason, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
-from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.spectral import SpectralProjection, table_arguments
 from vamgpu.operators.transforms import straight_passes
 
 RIM = 0.1
@@ -33,6 +33,8 @@ SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 MOST, STEPS, SETTLED = 1.4, 40, 0.01
 """Greatest gain in brightness before ``base`` grows, greatest number of steps of the search for it, and residual at
 which the search ends."""
+MIRRORED = 1e-5
+"""Greatest difference of a blur from its mirror image, relative to its greatest entry, for mirrored light."""
 DARK = 1e-6
 """Share of the brightest column's blur into itself, below which a column lights nothing relevant."""
 
@@ -47,11 +49,9 @@ class GramInverse:
     # and its inverse, and steps are scaled by ``pace``: an upper bound by Lanczos, on two slices.
 
     base: float
-    pace: float
-    device: Device
 
     def __init__(self, operator: Any, reach: float, rim: float = RIM) -> None:
-        self.device = operator.device
+        self.device: Device = operator.device
         members = _members(operator)
         blur = np.sum([weight * _shared(each) * _blur(each, reach, rim) for weight, each in members], axis=0)
         angles, columns, rows = operator.range.shape
@@ -67,7 +67,7 @@ class GramInverse:
             most = thin.most(self)
             if most <= MOST:
                 break
-        self.pace = 1.0 / max(most, 1.0)
+        self.pace: float = 1.0 / max(most, 1.0)
         self._take_room((angles, columns, rows), wide)
 
     @staticmethod
@@ -76,7 +76,7 @@ class GramInverse:
         for each in operator.operators if isinstance(operator, Scenarios) else (operator,):
             if isinstance(each, RingProjection):
                 continue
-            if not isinstance(each, Projection) or each.footprint != "exact":
+            if not isinstance(each, Projection):
                 return unsupported_reason(each)
             if why := uneven_reason(each.motion):
                 return why
@@ -91,17 +91,17 @@ class GramInverse:
         self._held, self._wide = empty(even), empty((angles, wide, deep))
 
     def __call__(self, light: DeviceArray, out: DeviceArray) -> None:
-        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. A dark row makes their number even."""
+        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. An odd number of rows gets a dark one."""
         launch, even = self.device.launch, self._even
         source, sink = even or (light, out)
         if even is not None:
-            launch(copy_slices, source=light, first=0, lanes=light, field=source)
+            launch(put_slices, source=light, first=0, factor=1.0, keep=0, lanes=light, stack=source)
         spectrum = self._there.run(-1.0, source, lambda number: (self._held, sink)[number % 2])
         launch(light_rings, light=spectrum, **self._entries, spectrum=self._wide)
         last = self._back.count % 2  # alternating, because the last pass must not write to its source
         self._back.run(1.0, self._wide, lambda number: (self._held, sink)[(number + last) % 2], last=sink)
         if even is not None:
-            launch(copy_slices, source=sink, first=0, lanes=sink, field=out)
+            launch(put_slices, source=sink, first=0, factor=1.0, keep=0, lanes=sink, stack=out)
 
 
 def _members(operator: Any) -> list[tuple[float, Any]]:
@@ -109,28 +109,27 @@ def _members(operator: Any) -> list[tuple[float, Any]]:
     if not isinstance(operator, Scenarios):
         return [(1.0, operator)]
     shares = np.abs(operator.mix)  # |Σ m d|² ≤ Σ|m| · Σ|m| d²
-    return [
-        (float(weight), each)
-        for weight, each in zip(
-            (shares.sum(axis=1, keepdims=True) * shares).sum(axis=0), operator.operators, strict=True
-        )
-        if weight
-    ]
+    weights = (shares.sum(axis=1, keepdims=True) * shares).sum(axis=0).tolist()
+    return [(weight, each) for weight, each in zip(weights, operator.operators, strict=True) if weight]
 
 
 def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np.ndarray:
     """A Aᵀ for each angular frequency up to half of the number of angles, complex64 (frequency, column, column)."""
     grid, beam, angles = operator.grid, operator.beam, operator.motion.angles
     columns = beam.pixels[0]
-    rings = _rings(grid, angles)
+    count = ceil(0.5 * hypot(*grid.shape[:2]))
+    rings = PolarGrid(-(-count // ROWS) * ROWS, 2 * AT_ONCE, grid.pitch, angles)  # out to the corners
     shape = replace(beam, pixels=(columns, 2 * AT_ONCE))
     pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch, motion=operator.motion)
     device, entries = pose.device, pose._entries
-    counted = device.upload(np.broadcast_to(_counted(rings, reach, rim)[:, None], rings.shape).astype(np.float32))
+    away = rings.places[0] / grid.pitch
+    counts = FULL_TURN * away * np.where(away <= reach, 1.0, rim)  # area · samples of the ring, for plain transforms
+    counted = device.upload(np.broadcast_to(counts[:, None], rings.shape).astype(np.float32))
     spectrum = device.empty(rings.shape)
     found = np.empty((angles // 2 + 1, columns, columns), np.complex64)
-    for begin in range(0, columns, AT_ONCE):
-        some = np.arange(begin, min(begin + AT_ONCE, columns))
+    half = (columns + 1) // 2 if entries["mirrored"] else columns
+    for begin in range(0, half, AT_ONCE):
+        some = np.arange(begin, min(begin + AT_ONCE, half))
         units = np.zeros((angles, columns, 2 * AT_ONCE), np.float32)
         units[:, some, 2 * (some - begin)] = 1.0
         lit = device.upload(units)
@@ -139,6 +138,7 @@ def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np
         device.launch(gather_rings, spectrum=spectrum, **entries, light=lit)
         values = lit.numpy()[: len(found), :, : 2 * len(some)]
         found[:, :, some] = values[..., 0::2] + 1j * values[..., 1::2]
+    found[:, :, half:] = found[:, ::-1, : columns - half][:, :, ::-1].conj()
     return np.float32(0.5 * angles) * (found + found.conj().swapaxes(1, 2))
 
 
@@ -153,10 +153,15 @@ class _Thin:
     def __init__(self, members: list[tuple[float, Any]], reach: float, rim: float) -> None:
         self._members: list[tuple[float, Any]] = []
         for weight, each in members:
-            (wide, deep, _), beam = each.grid.shape, replace(each.beam, pixels=(each.beam.pixels[0], 2))
-            thin = Projection(replace(each.grid, shape=(wide, deep, 2)), beam, each.motion, each.vessel, each.device)
+            thin: Any
+            if isinstance(each, RingProjection):
+                thin = each._thinned(2)
+            else:
+                (wide, deep, _), beam = each.grid.shape, replace(each.beam, pixels=(each.beam.pixels[0], 2))
+                grid = replace(each.grid, shape=(wide, deep, 2))
+                thin = Projection(grid, beam, each.motion, each.vessel, each.device)
             self._members.append((weight * _shared(each) / _shared(thin), thin))
-        first: Projection = self._members[0][1]
+        first = self._members[0][1]
         shape = first.domain.shape
         counted = np.where(disc(shape[0], shape[1], reach), 1.0, rim)[:, :, None]
         self._counted = first.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
@@ -194,27 +199,53 @@ class _Thin:
         return bound
 
 
-def _rings(grid: Grid, angles: int) -> PolarGrid:
-    """Rings as wide as voxels, out to the corners."""
-    count = ceil(0.5 * hypot(*grid.shape[:2]))
-    return PolarGrid(-(-count // ROWS) * ROWS, 2 * AT_ONCE, grid.pitch, angles)
-
-
-def _counted(rings: PolarGrid, reach: float, rim: float) -> np.ndarray:
-    """Weight of a cell: its area in voxels times its ring's number of samples, for unnormalized transforms."""
-    samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.bands])
-    return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, rim)
-
-
 def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
     """(blur + base)⁻¹ of each frequency; 0 for columns that light nothing."""
-    own = np.real(np.diagonal(blur[0]))
+    own, found = np.real(np.diagonal(blur[0])), np.zeros_like(blur)
     lit = np.flatnonzero(own > DARK * own.max())
-    found = np.zeros_like(blur)
-    some = blur[:, lit[:, None], lit]
-    some[:, range(len(lit)), range(len(lit))] += np.float32(base)
-    found[:, lit[:, None], lit] = np.linalg.inv(some)
+    first, last = lit[0], lit[-1] + 1
+    ends = blur[[0, 1, -1]]
+    mirrored = np.abs(ends - ends[:, ::-1, ::-1].conj()).max() <= MIRRORED * np.abs(ends).max()
+    if mirrored:
+        first = min(first, len(own) - last)
+        last = len(own) - first
+    for begin in range(0, len(blur), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE), slice(first, last), slice(first, last)
+        found[some] = _mirrored_inverse(blur[some], base) if mirrored else _inverse(blur[some], base)
     return found
+
+
+def _inverse(matrices: np.ndarray, base: float) -> np.ndarray:
+    """(matrix + base)⁻¹ of each."""
+    return np.linalg.inv(matrices + np.float32(base) * np.eye(matrices.shape[1], dtype=np.float32))
+
+
+def _mirrored_inverse(matrices: np.ndarray, base: float) -> np.ndarray:
+    """`_inverse` of Hermitian matrices that are conjugated by mirroring rows and columns: a quarter of the work."""
+    # they are real for the sums of mirrored columns and i times their differences
+    count = matrices.shape[1]
+    pairs, some = count // 2, (count + 1) // 2
+    own, mirror = matrices[:, :some, :some], matrices[:, :some, ::-1][:, :, :some]
+    whole, rest = own + mirror, (own - mirror)[:, :, :pairs]
+    real = np.empty(matrices.shape, np.float32)
+    real[:, :some, :some], real[:, :some, some:] = np.real(whole), -np.imag(rest)
+    real[:, some:, :some], real[:, some:, some:] = np.imag(whole)[:, :pairs], np.real(rest)[:, :pairs]
+    middle = slice(pairs, some)  # a column without a pair, or none
+    real[:, middle] *= np.float32(sqrt(0.5))
+    real[:, :, middle] *= np.float32(sqrt(0.5))
+    real = _inverse(real, base)
+    real[:, middle] *= np.float32(sqrt(2.0))
+    real[:, :, middle] *= np.float32(sqrt(2.0))
+    of_pairs = np.zeros((2, len(matrices), some, some), np.complex64)  # what each column gives to its own, and its mate
+    for sign, found in zip((1.0, -1.0), of_pairs, strict=True):
+        found += real[:, :some, :some]
+        found[:, :, :pairs] -= 1j * sign * real[:, :some, some:]
+        found[:, :pairs] += 1j * real[:, some:, :some]
+        found[:, :pairs, :pairs] += sign * real[:, some:, some:]
+    inverse = np.empty_like(matrices)
+    inverse[:, :some, :some], inverse[:, :some, ::-1][:, :, :some] = 0.5 * of_pairs
+    inverse[:, some:] = inverse[:, :pairs][:, ::-1, ::-1].conj()
+    return inverse
 
 
 def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
@@ -228,12 +259,4 @@ def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
     number = np.arange(tiles)
     table = np.stack([2 * ROWS * wide * number, number], axis=1)
     lit = np.full((count, tiles), wide)
-    return {
-        "entries": device.table(entries.ravel()),
-        "greatest": float(np.abs(entries).max()),
-        "tiles": device.table(table, "int32"),
-        "lit": device.table(lit, "int32"),
-        "order": device.table(most_lit_first(table, lit), "int32"),
-        "mirrored": 0,
-        "tf32": 0,
-    }
+    return table_arguments(device, device.table(entries.ravel()), float(np.abs(entries).max()), table, lit)

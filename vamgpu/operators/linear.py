@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from inspect import signature
 from math import isfinite, prod
 from numbers import Real
+from threading import local
 from typing import Any, Self, final
 
 import numpy as np
 
+from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.card import card, drawable
 from vamgpu.errors import BadInput
-from vamgpu.operators.space import Space, require
+from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.operators.space import SinogramSpace, Space, VolumeSpace, require, require_kinds
 from vamgpu.schema.noun import GIVEN, given
 from vamgpu.schema.registry import name_of
 
@@ -28,6 +32,9 @@ class LinearOperator(ABC):
     _transpose: LinearOperator | None = None
     _made: tuple[Any, ...] | None = None
     """A function and its arguments that make this operator from another one; None for one made by its constructor."""
+
+    def _set_spaces(self, domain: Space, range: Space, device: Device) -> None:
+        self.domain, self.range, self.device = domain, range, device
 
     @abstractmethod
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
@@ -79,7 +86,18 @@ class LinearOperator(ABC):
             return target
         return _halved(target.numpy()) if x.dtype == np.float16 else target.numpy()
 
-    # ---- copies ------------------------------------------------------------------------------------------------
+    @cached_property
+    def _held(self) -> local:
+        """Work fields of each thread."""
+        return local()
+
+    def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
+        """A work field, kept for the next product: new memory takes longer than a pass over it."""
+        held = vars(self._held)
+        if name not in held:
+            held[name] = self.device.empty(shape)
+        return held[name]
+
     def __copy__(self) -> Self:
         """An operator that shares its tables, but is not a transpose."""
         other = object.__new__(type(self))
@@ -92,13 +110,11 @@ class LinearOperator(ABC):
             return self._made
         cls = type(self)
         if hasattr(self, "described") or name_of(cls) is not None:
-            return _built, (
-                cls,
-                given(self) | {name: self.device for name in GIVEN if name in signature(cls).parameters},
-            )
-        return object.__new__, (cls,), vars(self) | {"_transpose": None}
+            fields = given(self) | {name: self.device for name in GIVEN if name in signature(cls).parameters}
+            return _built, (cls, fields)
+        state = {name: value for name, value in vars(self).items() if name != "_held"}
+        return object.__new__, (cls,), state | {"_transpose": None}
 
-    # ---- as a matrix -------------------------------------------------------------------------------------------
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the matrix: elements of the range, and of the domain."""
@@ -118,7 +134,7 @@ class LinearOperator(ABC):
         return self.T.matvec(y)
 
     def vjp(self, x: Any) -> tuple[Any, LinearOperator]:
-        """A x, and the transpose, which maps derivatives by A x to those by x; for differentiation by hand."""
+        """A x, and the transpose, which maps ∂f/∂(A x) to ∂f/∂x; for differentiation by hand."""
         return self(x), self.T
 
     def __matmul__(self, other: Any) -> Any:
@@ -200,17 +216,34 @@ class LinearOperator(ABC):
         return float(gap / (np.linalg.norm(image) * np.linalg.norm(y.astype(np.float64))))
 
 
+class VoxelProjector(LinearOperator):
+    """A projector of voxels that a turntable turns."""
+
+    domain: VolumeSpace  # pyright: ignore[reportIncompatibleVariableOverride]
+    range: SinogramSpace  # pyright: ignore[reportIncompatibleVariableOverride]
+    grid: Grid
+    beam: Beam
+    motion: Turntable
+
+    def _set_geometry(self, grid: Grid, beam: Beam, motion: Turntable, device: str | Device | None) -> None:
+        """Check the types of a geometry, and set it with its spaces and its device. Raises `BadInput`."""
+        require_kinds(f"{type(self).__name__}(grid, beam, motion, …)", (grid, Grid), (beam, Beam), (motion, Turntable))
+        self.grid, self.beam, self.motion = grid, beam, motion
+        self._set_spaces(VolumeSpace(grid), SinogramSpace(beam, motion), open_device(device))
+
+    def __repr__(self) -> str:
+        vessel = getattr(self, "vessel", None)
+        given = ", ".join(map(repr, (self.grid, self.beam, self.motion, *([] if vessel is None else [vessel]))))
+        return f"{type(self).__name__}({given}, device={self.device.name!r})"
+
+
 @final
 class Transposed(LinearOperator):
     """The transpose of an operator; shares its tables."""
 
-    domain: Space
-    range: Space
-    device: Device
-
     def __init__(self, operator: LinearOperator) -> None:
         self._operator = self._transpose = operator
-        self.domain, self.range, self.device = operator.range, operator.domain, operator.device
+        self._set_spaces(operator.range, operator.domain, operator.device)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return getattr, (self._operator, "T")
@@ -227,7 +260,7 @@ def _built(cls: type[Any], fields: dict[str, Any]) -> Any:
 
 
 def _halved(values: np.ndarray) -> np.ndarray:
-    """In float16. Raises `BadInput` for a result that is too great for it."""
+    """A result in float16. Raises `BadInput` if it is too great."""
     most = float(np.abs(values).max(initial=0.0))
     if most > float(np.finfo(np.float16).max):
         raise BadInput(f"the result reaches {most:.4g}; float16 holds 65504 at most: scale the operand, or use float32")

@@ -12,8 +12,8 @@ from vamgpu.geometry import Grid, positive
 from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, DARK, MARGIN, WHOLE
 
 FILLED = 2.0 * DARK
-"""Parts of `WHOLE` that a voxel full of insert has if shares are given: its surface is then where they pass 0.45, and
-walls one voxel thick still stop all light."""
+"""Parts of `WHOLE` of a voxel full of insert, if shares are given: surfaces are then where shares pass 0.45, and walls
+one voxel thick still stop all light."""
 FINE = 2.0**17
 """Number of steps of extinction in inserts that float32 can hold together with the share."""
 

@@ -7,7 +7,6 @@ from typing import Any, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
@@ -15,10 +14,10 @@ from vamgpu.geometry import Beam, Grid, Turntable, Vessel, one_ray_a_pixel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.frame_motion import mean, places, ray_parts
-from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.linear import VoxelProjector
 from vamgpu.operators.ray_table import EQUAL, OpenAir, column_in_resin, tabulate
-from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.wobble import Wobble
+from vamgpu.operators.wobble import Wobble, check_reach
+from vamgpu.travel import at_rest
 
 
 @runtime_checkable
@@ -37,7 +36,7 @@ class Rising(Protocol):
 
 
 @final
-class Oblique(LinearOperator):
+class Oblique(VoxelProjector):
     """Rays that have a column and a row: ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose.
 
     Entries are those of `Projection`: lengths [mm] of rays in voxels, multiplied by the transmitted and absorbed shares
@@ -59,14 +58,6 @@ class Oblique(LinearOperator):
         DeviceError: There is no such device.
     """
 
-    domain: VolumeSpace
-    range: SinogramSpace
-    grid: Grid
-    beam: Beam
-    motion: Turntable
-    light: Rising | Vessel | None
-    wobble: Wobble | None
-
     def __init__(
         self,
         grid: Grid,
@@ -76,33 +67,26 @@ class Oblique(LinearOperator):
         wobble: Wobble | None = None,
         device: str | Device | None = None,
     ) -> None:
-        require_kinds("Oblique(grid, beam, motion, …)", (grid, Grid), (beam, Beam), (motion, Turntable))
+        self._set_geometry(grid, beam, motion, device)
         one_ray_a_pixel("Oblique", beam)
         if light is not None and not isinstance(light, (Rising, Vessel)):
             raise BadInput(
                 f"got {light!r} as light; expected a Cone, an Inclined, a vessel, or None for straight light"
             )
-        self.grid, self.beam, self.motion, self.light, self.wobble = grid, beam, motion, light, wobble
+        self.light: Rising | Vessel | None = light
+        self.wobble: Wobble | None = wobble
+        if isinstance(light, Rising) or (motion.travel is not None and motion.travel.aside):
+            at_rest("Oblique, with light that rises or for a part that moves sideways,", motion)
         plane = light.plane if isinstance(light, Rising) else light
         self.vessel: Any = None if isinstance(plane, OpenAir) else plane
-        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.device: Device = open_device(device)
         self._places = np.zeros((motion.angles, 2)) if wobble is None else wobble.places(motion.angles) / grid.pitch
-        self._check_places()
+        check_reach(self._places * grid.pitch, beam)
         self._tables = self._tabulated(plane or OpenAir())
-        self._dwell = Dwell(motion, self.device)
+        self._dwell = Dwell(motion, beam, self.device)
 
     def __repr__(self) -> str:
         return (f"Oblique({self.grid!r}, {self.beam!r}, {self.motion!r}, {self.light!r}, {self.wobble!r}, "
                 f"device={self.device.name!r})")  # fmt: skip
-
-    def _check_places(self) -> None:
-        far = float(np.abs(self._places).max(initial=0.0)) * self.grid.pitch
-        half = 0.5 * self.beam.pixels[0] * self.beam.pitch
-        if far >= half:
-            raise BadInput(f"the axis moves {far:.4g} mm off, beyond the beam of {half:.4g} mm either side; "
-                           "expected less: check the wobble's unit, mm")  # fmt: skip
 
     def _tabulated(self, plane: Vessel) -> dict[str, Any]:
         """The projector's tables, together with the rows, over every position that a voxel may reach."""

@@ -1,11 +1,10 @@
-"""What the scattered light of one angle leaves on rings, counted with photons."""
+"""Scattered light of one angle on rings, counted with photons."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import ceil, sqrt
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,9 +13,10 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.geometry import FULL_TURN, Beam
+from vamgpu.kernels.photon_bins import sum_bins
 from vamgpu.kernels.photons import UNITS, WAYS, photons
 from vamgpu.kernels.spectrum import ROWS
-from vamgpu.operators.polar import PolarGrid, WritesPose
+from vamgpu.operators.polar import PolarGrid, WritesPose, writes_stored
 
 QUANTILES = 1 << 12
 RAYS = 64
@@ -24,11 +24,13 @@ RAYS = 64
 ITEMS = 1 << 12
 """Items of a launch, which follow their photons one after another."""
 SEGMENTS = 1 << 14
-"""Most segments of a photon."""
+"""Greatest number of segments of a photon."""
 TALLY = 1 << 28
 """Bytes of the tally of some columns."""
 EXACT_LAGS, GROWTH = 4, 1.25
-"""Bins along z: one for each of the nearest slices, then each this much farther than the one before."""
+"""Bins along z: one per slice near 0, then growing by a factor."""
+SAMPLED = 24
+"""Least number of columns from which the profiles along z are chosen."""
 
 
 @runtime_checkable
@@ -77,11 +79,6 @@ class PhotonCount:
         return 2 * ITEMS * ceil(RAYS * (self.beam.pixels[0] - self.half) / ITEMS)
 
     @property
-    def nbytes(self) -> int:
-        """Memory of both halves of the photons."""
-        return 8 * (self.beam.pixels[0] - self.half) * int(self.rings[-1].sum()) * self.slices_of_bins.size
-
-    @property
     def areas(self) -> np.ndarray:
         """Area of a cell of each ring [mm²], (rings,)."""
         ring = np.arange(self.grid.rings)
@@ -103,46 +100,54 @@ class PhotonCount:
         """Number of slices in each bin, above and below, (bins,)."""
         return np.bincount(self.lags, np.where(np.arange(self.lags.size), 2.0, 1.0))
 
-    def fluence(self, device: Device, seed: int) -> np.ndarray:
-        """Fluence rate of scattered light in cells for an irradiance of 1 in one slice, (columns, cells, bins), by half
-        of the photons.
-        """
-        return np.concatenate(list(self._counted(getattr(device, "members", (device,))[0], seed)))
+    def light(self, device: Device, seed: int, basis: np.ndarray, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """Scattered light in cells for an irradiance of 1 in one slice, by half of the photons.
 
-    def _counted(self, device: Device, seed: int) -> Iterator[np.ndarray]:
-        rays, rings, bins = self._rays(), self.rings, self.slices_of_bins
-        cells = int(rings[-1].sum())
+        basis: (bins, terms); every: step of the columns.  Returns the sum over all slices (columns, cells) of the
+        fluence rate, and its sums over bins with each term of the basis (columns, cells, terms).
+        """
+        rays, rings, bins = self._rays[::every], self.rings, self.slices_of_bins.size
+        cells, columns = int(rings[-1].sum()), len(rays)
+        launches = ceil(columns / max(TALLY // (8 * cells * bins), 1))
+        rays = np.pad(rays, ((0, -columns % launches), (0, 0), (0, 0)))  # columns without photons fill the last launch
+        given, at_once = self._tables(device), len(rays) // launches
+        each = ceil(max(0.5 * self.photons / columns, RAYS) * at_once / ITEMS)  # one photon at least from each ray
+        factor = self.beam.pitch / UNITS * at_once / (ITEMS * each) / np.repeat(self.areas, rings[:, 1])
+        given_bins = {"factor": device.table(factor), "basis": device.table(basis)}
+        tally = device.table(np.zeros((at_once, cells, bins, 2)), "uint32")
+        sums = [device.empty((at_once, cells, *rest), table=True) for rest in ((), basis.shape[1:])]
+        ends = [device.empty((ITEMS,), np.dtype(np.uint32), table=True) for _ in range(2)]
+        whole, light = (np.empty((len(rays), *some.shape[1:]), np.float32) for some in sums)
+        for first in range(0, len(rays), at_once):
+            some = slice(first, first + at_once)
+            device.launch(photons, rays=device.table(rays[some]), **given, first=0, each=each, most=SEGMENTS,
+                          seed=(seed * len(rays) + first) & 0x7FFFFFFF, absorbed=ends[0], escaped=ends[1],
+                          tally=tally)  # fmt: skip
+            ended = sum(int(end.numpy().sum(dtype=np.int64)) for end in ends)
+            if ended < 0.999 * ITEMS * each:
+                raise BadInput(f"{ended} of {ITEMS * each} photons ended within {SEGMENTS} collisions; expected 99.9 %:"
+                               f" a resin with {self.scatterer.coefficient:g} /mm of scattering needs more absorption, "
+                               "or a smaller vial")  # fmt: skip
+            device.launch(sum_bins, tally=tally, **given_bins, whole=sums[0], light=sums[1])
+            whole[some], light[some] = (each.numpy() for each in sums)
+        return whole[:columns], light[:columns]
+
+    def _tables(self, device: Device) -> dict[str, Any]:
+        """Arguments of `photons` that are the same for all columns."""
         tables = {
             "faces": [[face.radius, face.inner_index, face.outer_index, 0.0] for face in reversed(self.vessel.faces)],
             "cosines": self.scatterer.cosines(QUANTILES),
             "ways": [[np.cos(way), np.sin(way)] for way in FULL_TURN * np.arange(WAYS) / WAYS],
         }
         given: dict[str, Any] = {name: device.table(np.array(table)) for name, table in tables.items()}
-        given |= {"rings": device.table(rings, "int32"), "lags": device.table(self.lags, "int32")}
+        given |= {"rings": device.table(self.rings, "int32"), "lags": device.table(self.lags, "int32")}
         given |= {"extinction": self.extinction, "albedo": self.scatterer.coefficient / self.extinction}
-        given |= {
+        return given | {
             "per_ring": 1.0 / self.grid.pitch,
             "per_slice": 0.0 if self.beam.flat else 1.0 / self.grid.slice_pitch,
         }
-        scale = self.beam.pitch / (np.repeat(self.areas, rings[:, 1])[:, None] * bins * UNITS)
-        at_once = max(TALLY // (8 * cells * bins.size), 1)
-        for first in range(0, len(rays), at_once):
-            some = rays[first : first + at_once]
-            tally = device.table(np.zeros((len(some), cells, bins.size, 2)), "uint32")
-            wanted = max(0.5 * self.photons / len(rays), RAYS)  # from each ray of a column, one at least
-            each = ceil(wanted * len(some) / ITEMS)
-            ends = [device.empty((ITEMS,), np.dtype(np.uint32), table=True) for _ in range(2)]
-            device.launch(photons, rays=device.table(some), **given, first=0, each=each, most=SEGMENTS,
-                          seed=(seed * len(rays) + first) & 0x7FFFFFFF, absorbed=ends[0], escaped=ends[1],
-                          tally=tally)  # fmt: skip
-            low, high = np.moveaxis(tally.numpy().astype(np.float64), -1, 0)
-            if (ended := sum(int(each.numpy().sum(dtype=np.int64)) for each in ends)) < 0.999 * ITEMS * each:
-                raise BadInput(
-                    f"{ended} of {ITEMS * each} photons ended within {SEGMENTS} collisions; expected 99.9 %: a resin "
-                    f"with {self.scatterer.coefficient:g} /mm of scattering needs more absorption, or a smaller vial"
-                )
-            yield ((low + 2.0**32 * high) * (scale * len(some) / (ITEMS * each))).astype(np.float32)
 
+    @cached_property
     def _rays(self) -> np.ndarray:
         """`vamgpu.kernels.photons.Rays` of the columns from `half` on."""
         columns, beam = np.arange(self.half, self.beam.pixels[0]), self.beam
@@ -178,28 +183,34 @@ class ScatteredLight:
 
     patterns: np.ndarray  # (terms, columns from the half on, cells), for an irradiance of 1
     profiles: np.ndarray  # (terms, lags)
-    noise: float  # root mean square of its dose for random frames, of the greatest
+    noise: float  # root mean square error of its dose for random frames, over the greatest
 
 
 @lru_cache(maxsize=1)
 def scattered_light(count: PhotonCount, device: Device, tolerance: float, seed: int) -> ScatteredLight:
-    """The terms of what two halves of the photons count, as many as differ from it by a tolerance."""
-    if hasattr(os, "sysconf") and count.nbytes > os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
-        raise OutOfMemory(f"the photons of each pixel of a row, on rings and along z, take {count.nbytes / 1e9:.0f} GB,"
-                          " more than this machine has: use a coarser grid, or wider pixels")  # fmt: skip
-    first, second = (count.fluence(device, 2 * seed + half) for half in range(2))
-    slices = count.slices_of_bins
-    noise = _noise(count, first @ slices, second @ slices)
-    weight, area = np.sqrt(slices), np.repeat(count.areas, count.rings[:, 1])
+    """The light of two halves of the photons, in the fewest terms within a tolerance; their difference is the noise."""
+    counter, columns = getattr(device, "members", (device,))[0], count.beam.pixels[0] - count.half
+    basis = _profiles(count, counter, tolerance, seed, max(columns // SAMPLED, 1))
+    needed = 16 * columns * int(count.rings[-1].sum()) * (1 + basis.shape[1])
+    if hasattr(os, "sysconf") and needed > os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+        raise OutOfMemory(f"the scattered light of each pixel of a row on rings takes {needed / 1e9:.0f} GB, more than"
+                          " this machine has: use a coarser grid, or wider pixels")  # fmt: skip
+    (first, light), (second, other) = (count.light(counter, 2 * seed + half, basis) for half in range(2))
+    light += other
+    patterns = np.ascontiguousarray(np.moveaxis(0.5 * light, -1, 0))
+    return ScatteredLight(patterns, basis.T[:, count.lags], _noise(count, first, second))
+
+
+def _profiles(count: PhotonCount, device: Device, tolerance: float, seed: int, every: int) -> np.ndarray:
+    """Profiles along z (bins, terms) that give the light of some columns within the tolerance."""
+    weight, area = np.sqrt(count.slices_of_bins), np.repeat(count.areas, count.rings[:, 1])
+    first, second = (count.light(device, 2 * seed + half, np.eye(weight.size), every)[1] for half in range(2))
     gram = sum(np.einsum("cb,cd->bd", a * area[:, None], b, dtype=np.float64, optimize=True)
-               for a, b in zip(first, second, strict=True)) * np.outer(weight, weight)  # fmt: skip
+               for a, b in zip(first, second, strict=True)) / np.outer(weight, weight)  # fmt: skip
     power, vectors = np.linalg.eigh(0.5 * (gram + gram.T))  # of both halves, whose noise is not the same
     power, vectors = np.maximum(power[::-1], 0.0), vectors[:, ::-1]
     terms = 1 + int(np.count_nonzero(np.cumsum(power)[:-1] < (1.0 - tolerance**2) * power.sum()))
-    mean = first
-    mean += second
-    patterns = np.moveaxis(mean @ (0.5 * weight[:, None] * vectors[:, :terms]).astype(np.float32), -1, 0)
-    return ScatteredLight(patterns, (vectors[:, :terms] / weight[:, None]).T[:, count.lags], noise)
+    return vectors[:, :terms] / weight[:, None]
 
 
 def _noise(count: PhotonCount, first: np.ndarray, second: np.ndarray) -> float:
@@ -242,15 +253,7 @@ class PhotonTile:
         return beam.pixels[0] - 1
 
     def pose(self, beam: Beam, shape: tuple[int, ...], device: Device) -> WritesPose:
-        light = self.light.T.reshape(ROWS, shape[0], shape[1] // ROWS, -1).transpose(1, 2, 0, 3).reshape(*shape, -1)
-
-        def write(first: int, factor: float, out: Any) -> None:
-            some = light[..., first - self.half : first - self.half + out.shape[2]]
-            pose = np.pad(some, ((0, 0), (0, 0), (0, out.shape[2] - some.shape[2])))
-            pose[..., 0] *= factor
-            device.put(pose, out)
-
-        return write
+        return writes_stored(self.light.T, self.half, shape, device)
 
 
 def tiles_of(count: PhotonCount, pattern: np.ndarray, scale: float, arc: float) -> list[PhotonTile]:

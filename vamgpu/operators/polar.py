@@ -1,4 +1,4 @@
-"""Rings about the axis of rotation as voxels of a volume: rotations by the even angles map them onto themselves."""
+"""Rings about the axis of rotation as voxels of a volume: rotations from angle to angle map them onto themselves."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ class PoseTile(Protocol):
 
     @property
     def arcs(self) -> np.ndarray:
-        """Turns [rad] over which each ring has a mean, (2, `ROWS`)."""
+        """Arcs [rad] over which each ring is averaged, (2, `ROWS`)."""
         ...
 
     def is_mirrored(self, columns: int) -> bool:
@@ -181,12 +181,25 @@ class PoseTile(Protocol):
         ...
 
     def pose(self, beam: Beam, shape: tuple[int, ...], device: Device) -> WritesPose:
-        """What writes the light of some columns in the (angles, cells) of the rings, on a device."""
+        """A function that writes the light of some columns in the (angles, cells) of the rings, on a device."""
         ...
 
 
 WritesPose = Callable[[int, float, DeviceArray], None]
-"""Writes light of columns from a first one on to a field [angle, cell, column], that of the first times a factor."""
+"""Writes light of columns from a first one on to a field [angle, cell, column]; the first is multiplied by a factor."""
+
+
+def writes_stored(light: np.ndarray, begin: int, shape: tuple[int, ...], device: Device) -> WritesPose:
+    """As of `PoseTile.pose`, for stored light (cells of `ROWS` rings, columns from ``begin`` on)."""
+    light = light.reshape(ROWS, shape[0], shape[1] // ROWS, -1).transpose(1, 2, 0, 3).reshape(*shape, -1)
+
+    def write(first: int, factor: float, out: DeviceArray) -> None:
+        some = light[..., first - begin : first - begin + out.shape[2]]
+        pose = np.pad(some, ((0, 0), (0, 0), (0, out.shape[2] - some.shape[2])))
+        pose[..., 0] *= factor
+        device.put(pose, out)
+
+    return write
 
 
 @dataclass(frozen=True)

@@ -6,29 +6,25 @@ from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
 from math import hypot
-from typing import Literal, final
+from typing import final
 
 import numpy as np
 
-from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.footprint import back_footprint, forward_footprint
-from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.frame_motion import mean, places, straight_parts
-from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.linear import VoxelProjector
 from vamgpu.operators.ray_table import OpenAir, column_in_resin, tabulate
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-
-FOOTPRINTS = ("exact", "joseph")
+from vamgpu.travel import at_rest
 
 
 @final
-class Projection(LinearOperator):
+class Projection(VoxelProjector):
     """Rays of a beam through a volume that a turntable turns, in air or inside a vessel.
 
     ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the light of pixel
@@ -43,21 +39,11 @@ class Projection(LinearOperator):
         motion: Angles of the turntable.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
-        footprint: "exact", or "joseph" for straight rays interpolated between voxels as tomography packages do: no
-            fill factor, no point spread, columns as wide as voxels, and a container at rest while a frame is lit
-            (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
 
     Raises:
-        BadInput: An argument is of another type, or Joseph's rays do not fit the geometry.
+        BadInput: An argument is of another type.
         DeviceError: There is no such device.
     """
-
-    domain: VolumeSpace
-    range: SinogramSpace
-    grid: Grid
-    beam: Beam
-    motion: Turntable
-    vessel: Vessel | None
 
     def __init__(
         self,
@@ -66,51 +52,25 @@ class Projection(LinearOperator):
         motion: Turntable,
         vessel: Vessel | None = None,
         device: str | Device | None = None,
-        *,
-        footprint: Literal["exact", "joseph"] = "exact",
     ) -> None:
-        require_kinds("Projection(grid, beam, motion, …)", (grid, Grid), (beam, Beam), (motion, Turntable))
+        self._set_geometry(grid, beam, motion, device)
         if vessel is not None and not isinstance(vessel, Vessel):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
-        self.grid, self.beam, self.vessel = grid, beam, vessel
-        self.motion = motion = motion.stepped if footprint == "joseph" else motion
-        self.footprint: Literal["exact", "joseph"] = footprint
-        self._check_footprint()
-        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.device: Device = open_device(device)
-        if footprint == "joseph":
-            self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
-        else:
-            self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
-            self._light, self._gather = self._tables()
+        self.vessel: Vessel | None = vessel
+        if motion.travel is not None and motion.travel.aside and vessel is not None:
+            raise BadInput(f"got a part that moves sideways in {vessel!r}, where light differs from place to place; "
+                           "expected straight light (no vessel), or Oblique with a Wobble")  # fmt: skip
+        self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
+        self._light = self._lit()
         self._turn(motion)
-
-    def __repr__(self) -> str:
-        vessel = f", {self.vessel!r}" if self.vessel else ""
-        how = f", footprint={self.footprint!r}" if self.footprint != "exact" else ""
-        return f"Projection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r}{how})"
-
-    def _check_footprint(self) -> None:
-        if self.footprint not in FOOTPRINTS:
-            raise BadInput(f"footprint is {self.footprint!r}; expected one of {', '.join(FOOTPRINTS)}")
-        if self.footprint == "exact":
-            return
-        beam, grid = self.beam, self.grid
-        if self.vessel is not None or abs(beam.pitch / grid.pitch - 1.0) > 1e-6:
-            raise BadInput(f"got footprint='joseph' with {self.vessel!r}, pixels of {beam.pitch:g} mm and voxels of "
-                           f"{grid.pitch:g} mm; Joseph's rays are straight and as far apart as voxels: leave the "
-                           "vessel out and make the pitches equal, or use footprint='exact'")  # fmt: skip
-        if beam.fill != 1.0 or beam.spread:
-            raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays have no fill factor and no point "
-                           "spread: give neither, or use footprint='exact'")  # fmt: skip
 
     def _turn(self, motion: Turntable) -> None:
         """Make this a projection at these angles."""
-        self.motion, self._dwell = motion, Dwell(motion, self.device)
-        self.range = SinogramSpace(self.beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
-        arc = [] if self.footprint == "joseph" else [motion.arcs / self._parts]
+        self._set_geometry(self.grid, self.beam, motion, self.device)
+        self._dwell = Dwell(motion, self.beam, self.device)
+        arcs = motion.arcs / self._parts
         self._directions = [
-            self.device.table(np.stack([np.cos(poses), np.sin(poses), *arc], axis=1))
+            self.device.table(np.stack([np.cos(poses), np.sin(poses), arcs], axis=1))
             for poses in places(motion, self._parts)
         ]
 
@@ -121,13 +81,13 @@ class Projection(LinearOperator):
         reach = min(vessel.lit_radius, 0.5 * grid.pitch * hypot(*grid.shape[:2]))
         return straight_parts(self.motion, reach / column_in_resin(self.beam, vessel))
 
-    def _tables(self) -> tuple[dict[str, object], dict[str, object]]:
-        """Arguments of both directions, and those of the forward one, which gathers along rays."""
+    def _lit(self) -> dict[str, object]:
+        """Arguments of both directions."""
         arc = float(self.motion.arcs.max()) / self._parts
-        light = tabulate(self.grid, self.beam, self.vessel or OpenAir(), arc=arc)
+        self._table = light = tabulate(self.grid, self.beam, self.vessel or OpenAir(), arc=arc)
         ratio, strength = self.grid.pitch / self.beam.pitch, self.grid.pitch**2 / self.beam.pitch
         bent, table = self.vessel is not None, self.device.table
-        both = {
+        return {
             "light": table(light.map if bent else np.zeros((2, 2, 4))),
             "bent": int(bent),
             "ratio": light.steepest if bent else ratio,
@@ -137,7 +97,11 @@ class Projection(LinearOperator):
             "radius": light.radius,
             "taps": light.taps,
         }
-        return both, {"edges": table(light.edges), "cells": light.cells}
+
+    @cached_property
+    def _gather(self) -> dict[str, object]:
+        """Further arguments of the forward direction, which gathers along rays."""
+        return {"edges": self.device.table(self._table.edges), "cells": self._table.cells}
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         with self._rows.filling(out) as rows:
@@ -146,10 +110,7 @@ class Projection(LinearOperator):
 
     def _project(self, x: DeviceArray, part: int, out: DeviceArray) -> None:
         fields = {"volume": x, "directions": self._directions[part], "sinogram": out}
-        if self.footprint == "joseph":
-            self.device.launch(forward_joseph, **fields, pitch=self.grid.pitch)
-        else:
-            self.device.launch(forward_footprint, **fields, **self._light, **self._gather)
+        self.device.launch(forward_footprint, **fields, **self._light, **self._gather)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self._back(self._rows.in_slices(self._dwell.weighted(y)), out)
@@ -159,10 +120,7 @@ class Projection(LinearOperator):
 
     def _expose(self, rows: DeviceArray, part: int, out: DeviceArray) -> None:
         fields = {"sinogram": rows, "directions": self._directions[part], "volume": out}
-        if self.footprint == "joseph":
-            self.device.launch(back_joseph, **fields, pitch=self.grid.pitch)
-        else:
-            self.device.launch(back_footprint, **fields, **self._light)
+        self.device.launch(back_footprint, **fields, **self._light)
 
     def of_poses(self, chosen: Sequence[int]) -> Projection:
         """This projection at some of its angles; it shares everything that does not depend on them.
@@ -174,8 +132,9 @@ class Projection(LinearOperator):
             The projection, whose light is [chosen angle, r, z].
 
         Raises:
-            BadInput: The angles have unequal dwell times, which are relative to a whole turn.
+            BadInput: The angles have unequal dwell times, which are relative to a whole turn, or the part moves.
         """
+        at_rest("a projection at some of its angles", self.motion)
         if self.motion.dwell is not None:
             raise BadInput(f"got {self.motion} angles; expected angles of equal dwell")
         return self.turned(self.motion.chosen(chosen))

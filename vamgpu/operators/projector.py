@@ -38,8 +38,8 @@ def projector(
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
         algorithm: "rays" for a `Projection`, by rays through each voxel; "rings" for a `RingProjection`, by Fourier
-            transforms over even angles; "auto" for rings if they support the geometry, were measured to be faster and
-            fit into memory, else rays.
+            transforms over evenly spaced angles; "auto" for rings if they support the geometry, were measured to be
+            faster and fit into memory, else rays.
         scattering: A resin that scatters light, such as `vamgpu.Scattering`, for which rings are needed; None for one
             that is clear.
 

@@ -50,18 +50,22 @@ class OpenAir(Vessel):
 class RayTable:
     """Tables of one angle; lengths in voxels, columns counted from 0."""
 
-    # map: (n, n, 4) column, strength, and the columns per voxel across and along the light. edges: (columns, 8), chords
-    # on either side of a column's light, and slack. radius: of the lit disc. steepest: greatest number of columns per
-    # voxel. moving: the same with the motion of voxels while an angle is lit, the root of the sum of both squares.
-    # fill, sigma: of a pixel's box and point spread.
+    # map: (n, n, 4) column, strength, and the columns per voxel across and along the light. radius: of the lit disc.
+    # steepest: greatest number of columns per voxel. moving: the same with the motion of voxels while an angle is lit,
+    # the root of the sum of both squares. fill, sigma: of a pixel's box and point spread. bounds: finds the edges.
 
     map: np.ndarray
-    edges: np.ndarray
     radius: float
     steepest: float
     moving: float
     fill: float
     sigma: float
+    bounds: Callable[[], np.ndarray]
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """Chords on either side of a column's light, and slack, (columns, 8); only forward projections need them."""
+        return self.bounds()
 
     @property
     def taps(self) -> int:
@@ -101,9 +105,12 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None, 
     rays = _Rays(grid, beam, vessel, reaches)
     table = np.stack([column, strength, *gradient], axis=-1)
     together = TOGETHER if half is None else 1
-    edges = rays.edges(_slack(column, radius, rays), min(radius, corner), together)
     steepest, moving = _steepest(column, radius), _steepest(column, radius, arc)
-    return RayTable(table, edges, radius, steepest, moving, fill, sigma)
+
+    def bounds() -> np.ndarray:
+        return rays.edges(_slack(column, radius, rays), min(radius, corner), together)
+
+    return RayTable(table, radius, steepest, moving, fill, sigma, bounds)
 
 
 def column_in_resin(beam: Beam, vessel: Vessel) -> float:
@@ -184,9 +191,10 @@ def _square(samples: int, pitch: float) -> list[np.ndarray]:
 def _sampled(vessel: Vessel, radius: float, samples: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     """The light at points of a square, continued straight beyond ``radius`` [mm]: voxels at the rim interpolate."""
     across, along = _square(samples, pitch)
-    u, weight = (np.array(value) for value in vessel.illuminate(across, along))
     distance = np.hypot(across, along)
     beyond = (distance > radius) & (distance < 2.0 * radius)
+    u, weight = np.empty_like(across), np.empty_like(across)
+    u[~beyond], weight[~beyond] = vessel.illuminate(across[~beyond], along[~beyond])
     if not beyond.any():
         return u, weight
     x, y, far = across[beyond], along[beyond], distance[beyond]
@@ -219,7 +227,7 @@ def _curvature(value: np.ndarray) -> np.ndarray:
 
 
 class _Rays:
-    """Chords in voxels by column index, kept to rays that enter the resin."""
+    """Chords [voxels] by column index, only of rays that enter the resin."""
 
     def __init__(self, grid: Grid, beam: Beam, vessel: Vessel, reaches: np.ndarray) -> None:
         self.columns, self.reaches, self.reach = beam.pixels[0], reaches, float(reaches.max())

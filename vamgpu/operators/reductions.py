@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from math import inf
 
 import numpy as np
@@ -24,13 +25,24 @@ def parts_for(kernel: Kernel, field: DeviceArray) -> DeviceArray:
 
 def folded(parts: DeviceArray, kind: int = SUM) -> float:
     """The sum, minimum or maximum of a table of partial results."""
-    device = parts.device
-    if parts.shape[0] > FOLDED:
-        few = device.empty((FOLDED,), parts.dtype, table=True)
-        device.launch(fold, parts=parts, kind=kind, folded=few)
-        parts = few
-    values = parts.numpy().astype(np.float64)
-    return float((np.sum, np.min, np.max)[kind](values))
+    return all_folded([(parts, kind)])[0]
+
+
+def all_folded(tables: Iterable[tuple[DeviceArray, int]]) -> list[float]:
+    """`folded` of several tables; the host waits once."""
+    found = list[tuple[DeviceArray, int]]()
+    for parts, kind in tables:
+        few = parts
+        if parts.shape[0] > FOLDED:
+            few = parts.device.empty((FOLDED,), parts.dtype, table=True)
+            parts.device.launch(fold, parts=parts, kind=kind, folded=few)
+        found.append((few, kind))
+    return [float((np.sum, np.min, np.max)[kind](few.numpy().astype(np.float64))) for few, kind in found]
+
+
+def sums(parts: dict[str, DeviceArray]) -> dict[str, float]:
+    """The sums of tables by name; the host waits once."""
+    return dict(zip(parts, all_folded((each, SUM) for each in parts.values()), strict=True))
 
 
 def total(a: DeviceArray) -> float:
@@ -42,9 +54,15 @@ def total(a: DeviceArray) -> float:
 
 def dot(a: DeviceArray, b: DeviceArray) -> float:
     """Σ a·b."""
-    parts = parts_for(partial_dot, a)
-    a.device.launch(partial_dot, a=a, b=b, parts=parts)
-    return folded(parts)
+    return dots((a, b))[0]
+
+
+def dots(*pairs: tuple[DeviceArray, DeviceArray]) -> list[float]:
+    """`dot` of several pairs; the host waits once."""
+    tables = [parts_for(partial_dot, a) for a, _ in pairs]
+    for (a, b), parts in zip(pairs, tables, strict=True):
+        a.device.launch(partial_dot, a=a, b=b, parts=parts)
+    return all_folded((parts, SUM) for parts in tables)
 
 
 def extent(
@@ -55,10 +73,19 @@ def extent(
     reach: float = EVERYWHERE,
 ) -> tuple[float, float]:
     """Minimum and maximum of ``a`` within ``reach`` of the axis where lower ≤ mask < upper, or (inf, −inf)."""
-    lows, highs = parts_for(partial_extent, a), parts_for(partial_extent, a)
-    chosen = {"mask": a if mask is None else mask, "lower": lower, "upper": upper, "reach": reach}
-    a.device.launch(partial_extent, a=a, **chosen, lows=lows, highs=highs)
-    return folded(lows, LOW), folded(highs, HIGH)
+    return extents(a, a if mask is None else mask, [(lower, upper)], reach)[0]
+
+
+def extents(
+    a: DeviceArray, mask: DeviceArray, limits: Sequence[tuple[float, float]], reach: float
+) -> list[tuple[float, float]]:
+    """`extent` for several limits of the mask; the host waits once."""
+    tables = [(parts_for(partial_extent, a), parts_for(partial_extent, a)) for _ in limits]
+    for (lower, upper), (lows, highs) in zip(limits, tables, strict=True):
+        chosen = {"mask": mask, "lower": lower, "upper": upper, "reach": reach}
+        a.device.launch(partial_extent, a=a, **chosen, lows=lows, highs=highs)
+    found = all_folded(each for lows, highs in tables for each in ((lows, LOW), (highs, HIGH)))
+    return list(zip(found[::2], found[1::2], strict=True))
 
 
 def window(dose: DeviceArray, target: DeviceArray, reach: float, margin: float = 0.0) -> tuple[float, float, float]:
@@ -67,6 +94,6 @@ def window(dose: DeviceArray, target: DeviceArray, reach: float, margin: float =
     reach: radius of the cylinder that counts, in voxels. If a part fills it all, the dose outside is −infinity. margin:
     range of fractions on either side of one half that count as neither.
     """
-    inside = extent(dose, target, 0.5 + margin, inf, reach)
-    outside = extent(dose, target, -inf, 0.5 - margin, reach)
-    return inside[0], outside[1], max(inside[1], outside[1], extent(dose, reach=reach)[1] if margin else -inf)
+    limits = [(0.5 + margin, inf), (-inf, 0.5 - margin), (-inf, inf)]
+    inside, outside, *whole = extents(dose, target, limits if margin else limits[:2], reach)
+    return inside[0], outside[1], max(high for _, high in (inside, outside, *whole))

@@ -11,22 +11,21 @@ from typing import Any, final
 
 import numpy as np
 
-from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, positive
 from vamgpu.kernels.gather import gather_rows
-from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.spectrum import ONE_SUM, ROWS
+from vamgpu.kernels.stack import put_slices
 from vamgpu.operators.compose import combine
-from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.linear import VoxelProjector
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import column_in_resin
 from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
+from vamgpu.operators.space import VolumeSpace
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK, WHOLE, SparseEntries
 from vamgpu.operators.transforms import passes
@@ -41,7 +40,7 @@ NARROWEST, WIDEST = 0.1, 2.0
 BEYOND = 2
 """Number of rings beyond those that voxels use: at the end of splines, light beyond affects this many rings."""
 FAINT = 3e-4
-"""Share of the table's greatest entry below which entries are dropped: ≤ 1/4 of the products, 3e-5 of a dose."""
+"""Share of the table's greatest entry below which entries are dropped: up to 1/4 of the products, 3e-5 of a dose."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
 """Limit of its work fields [bytes], on processors and on GPUs."""
 Others = Sequence[tuple[SpectralProjection, DeviceArray]]
@@ -50,8 +49,8 @@ THICK = 64
 
 
 @final
-class RingProjection(LinearOperator):
-    """A `Projection` at even angles, computed by Fourier transforms over the angles, on rings about the axis.
+class RingProjection(VoxelProjector):
+    """A `Projection` at evenly spaced angles, computed by Fourier transforms over the angles, on rings about the axis.
 
     It can replace a `Projection` everywhere, also in a vial. Its doses differ by at most 0.002 of the greatest dose
     (root mean square; 0.02 in any voxel) if light has a point spread, except within two voxels of the rim of the lit
@@ -75,15 +74,6 @@ class RingProjection(LinearOperator):
         DeviceError: There is no such device.
     """
 
-    domain: VolumeSpace
-    range: SinogramSpace
-    grid: Grid
-    beam: Beam
-    motion: Turntable
-    vessel: Vessel | None
-    rings: PolarGrid
-    tf32: bool
-
     def __init__(
         self,
         grid: Grid,
@@ -95,16 +85,14 @@ class RingProjection(LinearOperator):
         rings: PolarGrid | None = None,
         tf32: bool = False,
     ) -> None:
-        require_kinds("RingProjection(grid, beam, motion)", (grid, Grid), (beam, Beam), (motion, Turntable))
+        self._set_geometry(grid, beam, motion, device)
         why = _unsupported(grid, motion)
         if why:
             raise BadInput(f"rings do not support this: {why}; use Projection, which takes the same arguments")
-        self.grid, self.beam, self.motion, self.vessel, self.tf32 = grid, beam, motion, vessel, tf32
+        self.vessel: Vessel | None = vessel
+        self.tf32: bool = tf32
         width = _width(grid, beam, vessel)
-        self.rings = rings_of(grid, motion.angles, width) if rings is None else _fitting(rings, grid, motion)
-        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
-        self.device: Device = open_device(device)
+        self.rings: PolarGrid = rings_of(grid, motion.angles, width) if rings is None else _fitting(rings, grid, motion)
         self._strips, slices = _strips(self.rings, beam, self.device)
         some = replace(self.rings, slices=slices)
         self._spectral = SpectralProjection(
@@ -143,7 +131,7 @@ class RingProjection(LinearOperator):
         """
         why = unsupported_reason(A)
         if why:
-            raise BadInput(f"rings do not support {A!r}: {why}; use that operator itself")
+            raise BadInput(f"rings do not support this projector: {why}; use the projector itself")
         if width is None:
             width = _width(A.grid, A.beam, A.vessel)
         if not NARROWEST <= positive("width", width) <= WIDEST:
@@ -168,6 +156,16 @@ class RingProjection(LinearOperator):
         other._rows = RowResampler.of(self.beam, self.grid.shape[2], self.grid.pitch, self.device, height)
         return other
 
+    def _thinned(self, slices: int) -> RingProjection:
+        """The same operator for as many slices and rows, with the same tables, and without ``direct``."""
+        other = copy(self)
+        vars(other).pop("direct", None)
+        other._spectral, other._strips = self._spectral._thinned(slices), range(1)
+        other.grid, other.beam = replace(self.grid, shape=(*self.grid.shape[:2], slices)), other._spectral.beam
+        other._set_spaces(VolumeSpace(other.grid), other._spectral.range, self.device)
+        other._rows = other._spectral._rows
+        return other
+
     @cached_property
     def direct(self) -> Projection:
         """The same operator, by rays through each voxel."""
@@ -180,10 +178,6 @@ class RingProjection(LinearOperator):
             Its arguments by name.
         """
         return {name: getattr(self, name) for name in ("grid", "beam", "motion", "vessel", "rings", "tf32")}
-
-    def __repr__(self) -> str:
-        vessel = f", {self.vessel!r}" if self.vessel else ""
-        return f"RingProjection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r})"
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         self.forward_with(x, (), out)
@@ -272,13 +266,14 @@ class RingProjection(LinearOperator):
         """Slices of a field from ``first`` on; slices beyond its last one are not changed."""
         strip = self._strip(name, source)
         if strip is not source:
-            self.device.launch(copy_slices, source=source, first=first, lanes=source, field=strip)
+            self._put(source, -first, strip)
         return strip
 
     def _put(self, strip: DeviceArray, first: int, field: DeviceArray) -> None:
-        """Copy the slices of `_cut` back to their field."""
+        """Copy slices to a field, from ``first`` on, such as those of `_cut` back to theirs."""
         if strip is not field:
-            self.device.launch(copy_slices, source=strip, first=-first, lanes=strip, field=field)
+            given = {"first": first, "factor": 1.0, "keep": 0, "lanes": strip}
+            self.device.launch(put_slices, source=strip, **given, stack=field)
 
 
 def unsupported_reason(A: Any) -> str:
@@ -286,9 +281,7 @@ def unsupported_reason(A: Any) -> str:
     if isinstance(A, RingProjection):
         return "it is on rings already; RingProjection.of(A.direct, width=…) makes others"
     if not isinstance(A, Projection):
-        return f"the light of a {type(A).__name__} is not that of one pose turned, level and past nothing that turns"
-    if A.footprint != "exact":
-        return f"they know no footprint {A.footprint!r}"
+        return f"got a {type(A).__name__}; expected a Projection, with level light that is the same at every angle"
     return _unsupported(A.grid, A.motion)
 
 
@@ -305,15 +298,17 @@ def prefers_rings(A: Any) -> bool:
 
 def uneven_reason(motion: Turntable) -> str:
     """Reason why the light of one angle, rotated, is not that of all angles; empty if it is."""
+    if motion.travel is not None:
+        return "its part moves (travel), which rings do not follow; expected a part at rest, or voxels"
     even = motion.is_even and motion.angles >= 2
-    return "" if even else f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
+    return "" if even else f"its angles are {motion}; expected two or more, even over a full turn from 0, lit equally"
 
 
 def _unsupported(grid: Grid, motion: Turntable) -> str:
     if why := uneven_reason(motion):
         return why
     if grid.shape[2] % 2:
-        return f"its {grid.shape[2]} slices are not even in number"
+        return f"got {grid.shape[2]} slices; expected an even number"
     return f"a slice has more than {WHOLE} voxels" if grid.shape[0] * grid.shape[1] > WHOLE else ""
 
 
@@ -330,7 +325,7 @@ def _width(grid: Grid, beam: Beam, vessel: Vessel | None) -> float:
 
 
 def _parts(width: float) -> int:
-    """Number of squares in a row whose mean is a voxel, about as wide as columns that need rings of this width."""
+    """Number of squares along a voxel's edge, about as wide as columns that need rings of this width."""
     return max(1, ceil(FINE / width - 0.25))
 
 

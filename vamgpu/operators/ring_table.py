@@ -35,13 +35,13 @@ class RingTable:
 def ring_table(grid: PolarGrid, beam: Beam, given: Sequence[PoseTile], device: Device, faint: float = 0.0,
                splines: bool = False) -> RingTable:  # fmt: skip
     """The products of each angular frequency, from the light of one pose in every `ROWS` rings."""
-    # faint: share of the greatest entry up to which those of a tile's outermost columns count as none.  splines:
+    # faint: entries of a tile's outermost columns up to this share of the greatest entry count as 0.  splines:
     # whether entries give coefficients of `ring_splines`, not doses.
     columns, mirrored = beam.pixels[0], all(each.is_mirrored(beam.pixels[0]) for each in given)
     half = columns // 2 if mirrored else 0
     all_pairs = _in_rows(columns - half)
     last = [each.last(beam) for each in given]
-    if splines:  # coefficients reach on, each ring a third as much: as far as the samples of the next tile
+    if splines:  # coefficients extend into the next tile, falling to a third per ring
         last = [*last[1:], 2 * last[-1] - last[-2] if last[1:] else all_pairs + half]
     wide = [min(_in_rows(each + 1 - half), all_pairs) for each in last]
     tiles, own, size = _tiles(grid, wide)
@@ -94,7 +94,7 @@ def _peaks(grid: PolarGrid, tiles: np.ndarray, entries: DeviceArray, splines: bo
 
 
 def _tiles(grid: PolarGrid, wide: list[int]) -> tuple[list[tuple[int, int, int]], list[list[int]], int]:
-    """Where each tile begins, its pairs and its mate; the tiles of each footprint, so many pairs wide; and the end."""
+    """Where each tile begins, its pairs and its mate; the tiles of each footprint, with ``wide`` pairs; and the end."""
     tiles, own = list[tuple[int, int, int]](), [list[int]() for _ in wide]
     start = number = 0
     for band in grid.bands:
@@ -109,5 +109,5 @@ def _tiles(grid: PolarGrid, wide: list[int]) -> tuple[list[tuple[int, int, int]]
 
 
 def _in_rows(count: int) -> int:
-    """The least multiple of `ROWS` that holds so many."""
+    """The least multiple of `ROWS` that is at least this number."""
     return -(-max(count, 0) // ROWS) * ROWS

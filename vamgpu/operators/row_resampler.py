@@ -25,15 +25,13 @@ class RowResampler:
     # point spread ``sigma`` [rows]. raised: distance by which the light is higher [rows]. gap: height between the lower
     # half of the slices and the upper one [mm].
 
-    rows: int
-    slices: int
-    device: Device
-
     def __init__(
         self, rows: int, row_pitch: float, slices: int, slice_pitch: float, device: Device, fill: float = 1.0,
         sigma: float = 0.0, raised: float = 0.0, gap: float = 0.0,
     ) -> None:  # fmt: skip
-        self.rows, self.slices, self.device = rows, slices, device
+        self.rows: int = rows
+        self.slices: int = slices
+        self.device: Device = device
         ratio = slice_pitch / row_pitch
         self.same_pitch: bool = abs(ratio - 1.0) < 1e-6
         self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == raised == gap == 0.0

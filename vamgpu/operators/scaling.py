@@ -19,18 +19,14 @@ from vamgpu.web import WebGrid
 class Scaled(LinearOperator):
     """Multiplies every voxel [x, y, z] by a factor; its own transpose. Raises `BadInput`, `ShapeMismatch`."""
 
-    domain: VolumeSpace | WebSpace
-    range: VolumeSpace | WebSpace
-    device: Device
-    grid: Grid | WebGrid
-
     def __init__(self, grid: Grid | WebGrid, factors: npt.ArrayLike, device: str | Device | None = None) -> None:
         values = np.asarray(factors, np.float32)
         if not np.isfinite(values).all():
             raise BadInput("factors of voxels hold NaN or infinity; expected finite numbers")
-        self.domain = self.range = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - never replaced
-        require(self.domain, values, "the factors")
-        self.grid, self.device = grid, open_device(device)
+        space = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)
+        require(space, values, "the factors")
+        self.grid: Grid | WebGrid = grid
+        self._set_spaces(space, space, open_device(device))
         self.factors: DeviceArray = self.device.upload(values)
 
     def __repr__(self) -> str:

@@ -21,7 +21,6 @@ from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import FAINT, RingProjection, in_voxels, rings_of, unsupported_reason
 from vamgpu.operators.row_resampler import banded
-from vamgpu.operators.space import Space
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK
 from vamgpu.schema.quantities import Count, Positive
@@ -36,7 +35,7 @@ PHOTONS = 1 << 22
 class ScatteringRings(Derived):
     """A projector in a resin that scatters light, on rings.
 
-    At even angles, the scattered light of each angle is that of the first one, rotated. Photons of the first angle,
+    At evenly spaced angles, the scattered light of each is that of the first, rotated. Photons of the first angle,
     through resin, wall and bath, are counted on rings and along z. The table is a sum of few patterns on rings, each
     with a profile along z, so that its products take about as long as those of light that is not scattered. Light that
     was not scattered is that of a `RingProjection` with absorption and scattering as its losses. The transpose is
@@ -56,27 +55,23 @@ class ScatteringRings(Derived):
             with clear walls, or the photons are too few for the tolerance.
     """
 
-    domain: Space
-    range: Space
-    device: Device
-    operator: Projection
-    scattering: Scatterer
-    tolerance: float
-    photons: int
-    seed: int
-
     def __init__(
         self, operator: Projection | RingProjection, scattering: Scatterer, tolerance: Positive = 0.01,
         photons: Count = PHOTONS, seed: int = 1,
     ) -> None:  # fmt: skip
         A: Any = operator.direct if isinstance(operator, RingProjection) else operator
         if why := _unsupported(A):
-            raise BadInput(f"scattered light is computed on rings, which do not support {A!r}: {why}")
+            raise BadInput(f"scattered light is computed on rings: {why}")
         if not isinstance(scattering, Scatterer):
             raise BadInput(f"ScatteringRings got {scattering!r}; expected Scattering(coefficient=…)")
-        self.operator, self.scattering, self.tolerance = A, scattering, positive("tolerance", tolerance)
-        self.photons, self.seed = photons, seed
-        self.domain, self.range, self.device = A.domain, A.range, A.device
+        if not positive("tolerance", tolerance) < 1.0:
+            raise BadInput(f"tolerance is {tolerance:g}; expected below 1: it is relative to the greatest dose")
+        self.operator: Projection = A
+        self.scattering: Scatterer = scattering
+        self.tolerance: float = tolerance
+        self.photons: int = photons
+        self.seed: int = seed
+        self._set_spaces(A.domain, A.range, A.device)
         inherit(self, A)
         self._direct = RingProjection(A.grid, A.beam, A.motion, self.attenuated, A.device)
         self._scattered = self.scattered(rings_of(A.grid, A.motion.angles, WIDE), photons, seed)
@@ -156,13 +151,11 @@ Profile = dict[str, DeviceArray]
 class ScatteredRings:
     """Scattered light of a projection on rings: patterns, each blurred along z by a profile."""
 
-    rings: PolarGrid
-    device: Device
-
     def __init__(
         self, A: Projection, scattering: Scatterer, rings: PolarGrid, tolerance: float, photons: int, seed: int
     ) -> None:
-        self.rings, self.device = rings, A.device
+        self.rings: PolarGrid = rings
+        self.device: Device = A.device
         count = PhotonCount(rings, A.beam, A.vessel, scattering, photons)
         found = scattered_light(count, A.device, tolerance, seed)
         if found.noise > tolerance:
@@ -219,12 +212,13 @@ class ScatteredRings:
 
 
 def _unsupported(A: Any) -> str:
-    """Reason why scattered light in an operator is not that of one angle, rotated; empty if it is."""
+    """Reason why scattered light cannot be computed on rings; empty if it can."""
     if why := unsupported_reason(A):
         return why
     vessel = A.vessel
     if not all(hasattr(vessel, name) for name in ("faces", "inner_radius")):
-        return f"photons are followed in a round vial, not in {vessel!r}"
+        got = "no vessel" if vessel is None else f"a {type(vessel).__name__}"
+        return f"got {got}; expected a round vial: only there are photons followed"
     if getattr(vessel, "wall_absorption", 0.0) or getattr(vessel, "liquid_absorption", 0.0):
-        return "photons are followed through clear walls, and these absorb"
+        return "the walls absorb; expected clear ones"
     return ""

@@ -9,7 +9,6 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid
 from vamgpu.kernels.resample import resample
@@ -17,7 +16,7 @@ from vamgpu.kernels.stack import put_slices
 from vamgpu.operators.compose import Derived, combine, inherit, same_device
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.reductions import extent
-from vamgpu.operators.space import Space, VolumeSpace
+from vamgpu.operators.space import VolumeSpace
 
 
 @final
@@ -26,14 +25,6 @@ class Scenarios(Derived):
 
     # Dose s is Σ_t mix[s, t] times the dose of operator t; the first is nominal. An operator is not evaluated if the
     # volumes of all its scenarios are zero. Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
-
-    domain: Space
-    range: Space
-    device: Device
-    grid: Grid
-    projections: float
-    operators: tuple[LinearOperator, ...]
-    mix: np.ndarray
 
     def __init__(self, operators: Sequence[LinearOperator], mix: np.ndarray | None = None) -> None:
         if not operators or not isinstance(getattr(operators[0], "grid", None), Grid):
@@ -44,16 +35,16 @@ class Scenarios(Derived):
             if each.domain.shape != nominal.domain.shape or each.range.shape != nominal.range.shape:
                 raise ShapeMismatch(f"{each!r} maps {each.domain.shape} to {each.range.shape}, but {nominal!r} maps "
                                     f"{nominal.domain.shape} to {nominal.range.shape}; make them equal")  # fmt: skip
-        self.operators = tuple(operators)
-        self.mix = np.eye(len(operators)) if mix is None else np.array(mix, np.float64)
+        self.operators: tuple[LinearOperator, ...] = tuple(operators)
+        self.mix: np.ndarray = np.eye(len(operators)) if mix is None else np.array(mix, np.float64)
         if self.mix.ndim != 2 or self.mix.shape[1] != len(operators) or not np.isfinite(self.mix).all():
             raise BadInput(f"shares have shape {self.mix.shape}; expected finite ones (scenarios, {len(operators)})")
         inherit(self, nominal)
         self.each: Grid = nominal.grid
         wide, deep, high = self.each.shape
-        self.grid = replace(self.each, shape=(wide, deep, high * len(self.mix)))
-        self.domain, self.range, self.device = VolumeSpace(self.grid), nominal.range, nominal.device
-        self.projections = 0.0
+        self.grid: Grid = replace(self.each, shape=(wide, deep, high * len(self.mix)))
+        self._set_spaces(VolumeSpace(self.grid), nominal.range, nominal.device)
+        self.projections: float = 0.0
         """Number of projections and doses computed so far, half an evaluation each."""
         self._ones = self.device.table(np.ones((high, 1)))
         self._firsts = [

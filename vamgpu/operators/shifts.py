@@ -16,22 +16,25 @@ from vamgpu.geometry import Beam
 from vamgpu.kernels.shift import shift_images
 from vamgpu.operators.compose import Derived, inherit
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.space import Space, require
-from vamgpu.operators.wobble import Wobble
+from vamgpu.operators.space import require
+from vamgpu.operators.wobble import Wobble, check_reach
 from vamgpu.schema.quantities import Count, Place
+from vamgpu.travel import at_rest
 
 
 class Shift:
     """Moves images by fractions of a pixel, forward and back, by linear interpolation."""
 
-    # moves: (images, 2), columns and rows by which a moved pixel lies further on in its source, both counted from the
+    # moves: (images, 2), distance in columns and rows from a moved pixel to its place in the source, counted from the
     # middle. source, moved: shapes (columns, rows) of the images.
 
     def __init__(self, device: Device, moves: np.ndarray, source: tuple[int, int], moved: tuple[int, int]) -> None:
         start = moves + 0.5 * (np.array(source) - 1) - 0.5 * (np.array(moved) - 1)
         start = np.where(np.abs(start - np.round(start)) < 1e-6, np.round(start), start)
         self.device = device
-        self._there, self._back = (device.table(_whole_and_part(s)) for s in (start, -start))
+        self._there, self._back = (  # the whole and the part of each move
+            device.table(np.stack([np.floor(s), s - np.floor(s)], axis=2).reshape(-1, 4)) for s in (start, -start)
+        )
 
     def there(self, source: DeviceArray, tapers: DeviceArray, moved: DeviceArray) -> None:
         """moved = tapers × the source's images, moved."""
@@ -46,18 +49,34 @@ class Shift:
         self.device.launch(shift_images, **given, lanes=source)
 
 
-def _whole_and_part(start: np.ndarray) -> np.ndarray:
-    whole = np.floor(start)
-    return np.stack([whole[:, 0], start[:, 0] - whole[:, 0], whole[:, 1], start[:, 1] - whole[:, 1]], axis=1)
+class _Moved(Derived):
+    """A projector whose images are moved."""
 
+    _shift: Shift
+    _tapers: DeviceArray
 
-def _check_projector(operator: Any, name: str) -> None:
-    if not isinstance(operator, LinearOperator) or not hasattr(operator.range, "beam"):
-        raise BadInput(f"{name} got {operator!r}; expected a projector from a volume to the pixels of a beam")
+    def __init__(self, operator: LinearOperator) -> None:
+        if not isinstance(operator, LinearOperator) or not hasattr(operator.range, "beam"):
+            raise BadInput(
+                f"{type(self).__name__} got {operator!r}; expected a projector from a volume to the pixels of a beam"
+            )
+        self.operator: LinearOperator = operator
+        self._set_spaces(operator.domain, operator.range, operator.device)
+        inherit(self, operator)
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        still = self.device.empty(self.operator.range.shape)
+        self.operator.forward(x, still)
+        self._shift.there(still, self._tapers, out)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        still = self.device.empty(self.operator.range.shape)
+        self._shift.back(y, self._tapers, still)
+        self.operator.transposed(still, out)
 
 
 @final
-class Wobbled(Derived):
+class Wobbled(_Moved):
     """A projector whose axis moves with its vessel from angle to angle: its images move along r.
 
     Only `Wobble.across` moves them, by fractions of a pixel: parallel light is the same along its whole path. For other
@@ -71,39 +90,19 @@ class Wobbled(Derived):
         BadInput: The axis leaves the beam.
     """
 
-    domain: Space
-    range: Space
-    device: Device
-    operator: LinearOperator
-    wobble: Wobble
-
     def __init__(self, operator: LinearOperator, wobble: Wobble) -> None:
-        _check_projector(operator, "Wobbled")
-        self.operator, self.wobble = operator, wobble
-        self.domain, self.range, self.device = operator.domain, operator.range, operator.device
-        inherit(self, operator)
+        super().__init__(operator)
+        self.wobble: Wobble = wobble
         images: Any = operator.range
         beam, poses = images.beam, images.shape[0]
-        across, half = wobble.places(poses)[:, 0], 0.5 * beam.pixels[0] * beam.pitch
-        if np.abs(across).max() >= half:
-            raise BadInput(f"the axis moves {np.abs(across).max():.4g} mm off, beyond the beam of {half:.4g} mm "
-                           "either side; expected less: check the wobble's unit, mm")  # fmt: skip
+        across = wobble.places(poses)[:, 0]
+        check_reach(across, beam)
         moves = np.stack([-across / beam.pitch, np.zeros(poses)], axis=1)
         self._shift = Shift(self.device, moves, beam.pixels, beam.pixels)
         self._tapers = self.device.table(np.ones((1, beam.pixels[1])))
 
     def __repr__(self) -> str:
         return f"Wobbled({self.operator!r}, {self.wobble!r})"
-
-    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        still = self.device.empty(self.range.shape)
-        self.operator.forward(x, still)
-        self._shift.there(still, self._tapers, out)
-
-    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        still = self.device.empty(self.range.shape)
-        self._shift.back(y, self._tapers, still)
-        self.operator.transposed(still, out)
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ class TiledSpace:
 
 
 @final
-class Tiles(Derived):
+class Tiles(_Moved):
     """A volume taller than the beam, exposed in turn with the beam at several heights; range [tile·angle, r, row].
 
     Optimize with the tall projector, then `split` its light. Tiles overlap with complementary weights: together they
@@ -135,34 +134,29 @@ class Tiles(Derived):
         centers: Middles of the tiles along z [mm], in their order, (tiles,); None for even ones at whole rows.
 
     Raises:
-        BadInput: The overlap is at least as high as the beam, or tiles leave a gap.
+        BadInput: The overlap is at least as high as the beam, tiles leave a gap, or the part moves (`Travel`).
     """
 
-    device: Device
-    domain: Space
-    operator: LinearOperator
     centers: np.ndarray
-    tapers: np.ndarray
 
     def __init__(
         self, operator: LinearOperator, rows: Count, overlap: int = 0,
         centers: Sequence[Place] | np.ndarray | None = None,
     ) -> None:  # fmt: skip
-        _check_projector(operator, "Tiles")
+        super().__init__(operator)
+        at_rest("Tiles", getattr(operator, "motion", None))
         if not 0 <= overlap < rows:
             raise BadInput(f"tiles of {rows} rows overlap by {overlap}; expected 0 or more, and fewer than the rows")
-        self.operator, self.device, self.domain = operator, operator.device, operator.domain
-        inherit(self, operator)
         images: Any = operator.range
         tall: Beam = images.beam
         self.centers = _spread(tall, rows, overlap) if centers is None else np.atleast_1d(np.asarray(centers, float))
-        self.tapers = _tapers(tall, rows, self.centers)
+        self.tapers: np.ndarray = _tapers(tall, rows, self.centers)
         tile, poses = Beam((tall.pixels[0], rows), tall.pitch), operator.range.shape[0]
         self.range: Any = TiledSpace(tile, poses, len(self.centers))
         moves = np.repeat(self.centers / tall.pitch, poses)
         both = np.stack([np.zeros(len(moves)), moves], axis=1)
         self._shift = Shift(self.device, both, tall.pixels, tile.pixels)
-        self._even, self._tapered = (self.device.table(t) for t in (np.ones_like(self.tapers), self.tapers))
+        self._tapers, self._tapered = (self.device.table(t) for t in (np.ones_like(self.tapers), self.tapers))
 
     def __repr__(self) -> str:
         return f"Tiles({self.operator!r}, rows={self.range.beam.pixels[1]}, centers={self.centers.tolist()})"
@@ -174,16 +168,6 @@ class Tiles(Derived):
             Its arguments by name.
         """
         return {"operator": self.operator, "rows": self.range.beam.pixels[1], "centers": self.centers}
-
-    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        tall = self.device.empty(self.operator.range.shape)
-        self.operator.forward(x, tall)
-        self._shift.there(tall, self._even, out)
-
-    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        tall = self.device.empty(self.operator.range.shape)
-        self._shift.back(y, self._even, tall)
-        self.operator.transposed(tall, out)
 
     def split(self, light: Any) -> Any:
         """Share the light of the tall beam between tiles: ``T(split(light))`` is the tall light's dose.
@@ -225,9 +209,9 @@ def _tapers(tall: Beam, rows: int, centers: np.ndarray) -> np.ndarray:
     def ramp(tile: int, where: np.ndarray) -> np.ndarray:
         rise = fall = np.ones_like(where)
         if tile > 0 and high[tile - 1] > low[tile]:
-            rise = np.clip((where - low[tile]) / (high[tile - 1] - low[tile]), 0.0, 1.0)
+            rise = np.interp(where, [low[tile], high[tile - 1]], [0.0, 1.0])
         if tile < len(centers) - 1 and high[tile] > low[tile + 1]:
-            fall = np.clip((high[tile] - where) / (high[tile] - low[tile + 1]), 0.0, 1.0)
+            fall = np.interp(where, [low[tile + 1], high[tile]], [1.0, 0.0])
         return np.where((where > low[tile]) & (where < high[tile]), np.minimum(rise, fall), 0.0)
 
     total = sum(ramp(tile, z) for tile in range(len(centers)))

@@ -1,11 +1,14 @@
-"""Projection between light at even angles and volumes on rings, by a product for each angular frequency."""
+"""Projection between light at evenly spaced angles and volumes on rings, by a product for each angular frequency."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
-from threading import local
 from typing import Any, final
+
+import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
@@ -21,6 +24,14 @@ from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
 from vamgpu.operators.transforms import Passes, Place, ring_band, ring_radices, straight_passes
 from vamgpu.schema.quantities import finite
+
+
+def table_arguments(device: Device, entries: DeviceArray, greatest: float, tiles: np.ndarray, lit: np.ndarray,
+                    mirrored: int = 0, tf32: int = 0) -> dict[str, Any]:  # fmt: skip
+    """The arguments of `light_rings` and `gather_rings` for a table; see `vamgpu.kernels.spectrum`."""
+    numbers = {"tiles": tiles, "lit": lit, "order": most_lit_first(tiles, lit)}
+    uploaded = {name: device.table(values, "int32") for name, values in numbers.items()}
+    return {"entries": entries, "greatest": greatest, **uploaded, "mirrored": mirrored, "tf32": tf32}
 
 
 @final
@@ -63,8 +74,7 @@ class SpectralProjection(LinearOperator):
     def __init__(
         self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None, *,
         square: float | None = None, faint: float = 0.0, tf32: bool = False, splines: bool = False,
-        motion: Turntable | None = None,
-        tiles: Sequence[PoseTile] | None = None,
+        motion: Turntable | None = None, tiles: Sequence[PoseTile] | None = None,
     ) -> None:  # fmt: skip
         require_kinds("SpectralProjection(grid, beam, …)", (grid, PolarGrid), (beam, Beam))
         if vessel is not None and not isinstance(vessel, Vessel):
@@ -79,8 +89,8 @@ class SpectralProjection(LinearOperator):
             raise BadInput(f"got splines={splines!r}, square={square}; expected splines=True with a square, or False")
         motion = Turntable(grid.angles) if motion is None else motion
         if not isinstance(motion, Turntable) or not motion.is_even or motion.angles != grid.angles:
-            raise BadInput(f"got motion={motion!r}; expected a Turntable of the grid's {grid.angles} even angles, each "
-                           "lit as long, or None")  # fmt: skip
+            raise BadInput(f"got motion={motion!r}; expected a Turntable of the grid's {grid.angles} evenly spaced "
+                           "angles, lit equally long, or None")  # fmt: skip
         self._given = {"square": square, "faint": faint, "tf32": tf32, "splines": splines, "motion": motion}
         self._has_tiles = tiles is not None
         self.tf32: bool = tf32
@@ -88,22 +98,26 @@ class SpectralProjection(LinearOperator):
         self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
-        self._held = local()
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
         arc = float(motion.arcs[0])
         given = tiles or tiles_of_vessel(grid, beam, vessel or OpenAir(), square, splines, arc)
         table = ring_table(grid, beam, given, self.device, faint, splines)
         self._light_shape = (grid.angles, beam.pixels[0], grid.slices)
-        upload = self.device.table
-        self._entries = {
-            "entries": self.device.hold(table.entries),
-            "greatest": table.greatest,
-            "tiles": upload(table.tiles, "int32"),
-            "lit": upload(table.lit, "int32"),
-            "order": upload(most_lit_first(table.tiles, table.lit), "int32"),
-            "mirrored": int(table.mirrored),
-            "tf32": int(tf32),
-        }
+        held = self.device.hold(table.entries)
+        self._entries = table_arguments(
+            self.device, held, table.greatest, table.tiles, table.lit, int(table.mirrored), int(tf32)
+        )
+
+    def _thinned(self, slices: int) -> SpectralProjection:
+        """The same operator for as many slices and rows, with the same tables."""
+        other = copy(self)
+        other.grid = replace(self.grid, slices=slices)
+        other.beam = replace(self.beam, pixels=(self.beam.pixels[0], slices))
+        other.domain, other.range = PolarSpace(other.grid), SinogramSpace(other.beam, self.motion)  # pyright: ignore
+        other._rows = RowResampler.of(other.beam, slices, self.grid.slice_pitch, self.device)
+        other._light_shape = (*self._light_shape[:2], slices)
+        vars(other).pop("_held", None)  # its work fields are smaller
+        return other
 
     def described(self) -> dict[str, Any]:
         """Describe the constructor's arguments.
@@ -181,10 +195,3 @@ class SpectralProjection(LinearOperator):
         spectrum = self._work("rings 0", out.shape)
         self.device.launch(light_rings, light=light, **self._entries, spectrum=spectrum)
         self._to_rings.run(1.0, spectrum, lambda number: self._work(f"rings {1 - number}", out.shape), last=out)
-
-    def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """A work field, kept for the next product: new memory takes longer than a pass over it."""
-        held = vars(self._held)  # of each thread
-        if name not in held:
-            held[name] = self.device.empty(shape)
-        return held[name]

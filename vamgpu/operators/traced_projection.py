@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from math import ceil, hypot
 from typing import Any, final
 
 import numpy as np
 
-from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, OutOfMemory
+from vamgpu.errors import BadInput, OpticsWarning, OutOfMemory
 from vamgpu.geometry import Beam, Grid, Turntable, counts, one_ray_a_pixel, positive
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.medium import ABSORBS
@@ -20,10 +20,11 @@ from vamgpu.kernels.traced import back_traced, clear_volume, forward_traced
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.frame_motion import mean, places, ray_parts
-from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.linear import VoxelProjector
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
+from vamgpu.operators.space import require_kinds
+from vamgpu.travel import at_rest
 
 SCRATCH = 64 << 20
 """Bytes of the table for the angles that are traced at a time."""
@@ -35,10 +36,12 @@ PLANES, POSES = 32, 45
 """Planes of voxels, and angles, whose entries are gathered together; neighbors then find them in the cache."""
 PATIENCE = 8
 """A ray counts as trapped after a path through this number of grids."""
+TRAPPED = 1e-3
+"""Largest share of trapped rays, whose light is lost: walls of a high index guide a few."""
 
 
 @final
-class TracedProjection(LinearOperator):
+class TracedProjection(VoxelProjector):
     """Rays of a beam through a volume that turns together with a medium.
 
     ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the length [mm] of
@@ -65,17 +68,6 @@ class TracedProjection(LinearOperator):
         DeviceError: There is no such device, or it has too little memory.
     """
 
-    domain: VolumeSpace
-    range: SinogramSpace
-    grid: Grid
-    beam: Beam
-    motion: Turntable
-    medium: CoRotatingMedium
-    rays: RayBundle
-    vessel: None
-    step: float
-    most_steps: int
-
     def __init__(
         self,
         grid: Grid,
@@ -89,23 +81,22 @@ class TracedProjection(LinearOperator):
     ) -> None:
         medium = CoRotatingMedium() if medium is None else medium
         rays = RayBundle.parallel(beam) if rays is None and isinstance(beam, Beam) else rays
-        expected = ((grid, Grid), (beam, Beam), (motion, Turntable), (medium, CoRotatingMedium), (rays, RayBundle))
-        require_kinds("TracedProjection(grid, beam, …)", *expected)
+        self._set_geometry(grid, beam, motion, device)
+        require_kinds("TracedProjection(…, medium, rays)", (medium, CoRotatingMedium), (rays, RayBundle))
         one_ray_a_pixel("TracedProjection", beam)
+        at_rest("TracedProjection", motion)
         assert rays is not None  # only beams without rays lack it
-        self.grid, self.beam, self.motion, self.medium, self.rays = grid, beam, motion, medium, rays
-        self.vessel = None
-        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.device: Device = open_device(device)
-        self.step = positive("step [voxels]", step)
+        self.medium: CoRotatingMedium = medium
+        self.rays: RayBundle = rays
+        self.vessel: None = None
+        self.step: float = positive("step [voxels]", step)
         patience = ceil(PATIENCE * sum(grid.shape) / self.step)
-        self.most_steps = patience if most_steps is None else counts("most_steps", (most_steps,), 1)[0]
+        self.most_steps: int = patience if most_steps is None else counts("most_steps", (most_steps,), 1)[0]
         medium.check(grid)
         level = medium.is_level and rays.is_level
         self._turns = places(motion, ray_parts(motion, 0.5 * hypot(*grid.shape[:2])))
         self._way: _Matrix | _March = _Matrix(self) if level else _March(self)
-        self._dwell = Dwell(motion, self.device)
+        self._dwell = Dwell(motion, beam, self.device)
 
     def __repr__(self) -> str:
         fields = ", ".join(self.medium.fields()) or "nothing"
@@ -135,15 +126,19 @@ class TracedProjection(LinearOperator):
         }
 
     def _check_left(self, caught: np.ndarray, rows: int, bundle: int) -> None:
-        """Raise `BadInput` if any ray is marked in ``caught`` (angle, ray)."""
+        """Raise `BadInput` if more than a few rays are marked in ``caught`` (angle, ray)."""
         if not caught.any():
+            return
+        if caught.mean() < TRAPPED:
+            warnings.warn(f"{int(caught.sum())} of {caught.size} rays are guided in the medium and never leave; their "
+                          "light counts as lost", OpticsWarning, stacklevel=5)  # fmt: skip
             return
         angle, ray = np.argwhere(caught)[0]
         column, row = divmod(int(ray) // bundle, rows)
         pose = np.degrees(self.motion.poses[angle])
         raise BadInput(
             f"{int(caught.sum())} of {caught.size} rays have not left after {self.most_steps} steps of {self.step:g} "
-            f"voxels ({self.most_steps * self.step * self.grid.pitch:.4g} mm), first that of column {column}, row "
+            f"voxels ({self.most_steps * self.step * self.grid.pitch:.4g} mm), the first in column {column}, row "
             f"{row} at {pose:.4g}°; check the index, or allow more with most_steps="
         )
 
@@ -191,8 +186,8 @@ def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
     inputs = owner._inputs(level=True) | {"most": owner.most_steps}
     rays = owner.beam.pixels[0] * bundle
     capacity = 3 * sum(owner.grid.shape[:2]) + 16
-    solid = _solid(owner)
-    entries, pairs, at = [], [], 0
+    solid = None if owner.medium.dark is None else owner.medium.dark.ravel()
+    entries, pairs, caught, at = [], [], [], 0
     while at < poses.size:
         some = poses[at : at + max(1, SCRATCH // (8 * rays * capacity))]
         count = device.empty((some.size, rays), np.int32, table=True)
@@ -203,7 +198,8 @@ def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
         if found.max() > capacity:
             capacity = int(found.max())
             continue
-        owner._check_left(found < 0, 1, bundle)
+        caught.append(found < 0)
+        found = np.maximum(found, 0)
         valid = np.arange(capacity) < found[..., None]
         part = scratch.numpy()[valid]
         if solid is not None:
@@ -213,16 +209,12 @@ def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
         entries.append(found.reshape(-1, bundle).sum(axis=1))
         pairs.append(part)
         at += some.size
+    owner._check_left(np.concatenate(caught), 1, bundle)
     found, whole = np.concatenate(entries), np.concatenate(pairs)
     if len(whole) >= 2**31:
         raise OutOfMemory(f"the matrix has {len(whole)} entries; expected fewer than {2**31}: use a coarser grid")
     row = np.repeat(np.arange(found.size, dtype=np.int32), found)
     return SparseEntries(row, whole[:, 0].astype(np.int32), np.ascontiguousarray(whole[:, 1]))
-
-
-def _solid(owner: TracedProjection) -> np.ndarray | None:
-    dark = owner.medium.dark
-    return None if dark is None else dark.ravel()
 
 
 class _March:
@@ -270,18 +262,13 @@ class SparseEntries:
 
     def table(self, device: Device, shape: tuple[int, int], block: int) -> dict[str, DeviceArray]:
         """Tables of `gather_rows` for a matrix whose rows are ``shape``, in blocks of ``block`` columns."""
+        from scipy.sparse import csr_array
+
         major, minor = np.divmod(self.row, shape[1])
         blocks = -(-(int(self.column.max(initial=0)) + 1) // block)
         place = (major * blocks + self.column // block) * shape[1] + minor
-        first, order = _sorted(place, shape[0] * blocks * shape[1])
+        row = np.arange(place.size, dtype=np.int32), place, np.array([0, place.size])
+        by_place = csr_array(row, shape=(1, shape[0] * blocks * shape[1])).tocsc()
+        order: np.ndarray = by_place.data  # entries of one place keep their order
         pairs = np.stack([self.column[order].astype(self.weight.dtype), self.weight[order]], axis=1)
-        return {"first": device.table(first, "int32"), "entries": device.table(pairs)}
-
-
-def _sorted(place: np.ndarray, places: int) -> tuple[np.ndarray, np.ndarray]:
-    """Start of each position's entries, and all entries by position; those of one position keep their order."""
-    from scipy.sparse import csr_array
-
-    row = csr_array((np.arange(place.size, dtype=np.int32), place, np.array([0, place.size])), shape=(1, places))
-    columns = row.tocsc()
-    return columns.indptr, columns.data
+        return {"first": device.table(by_place.indptr, "int32"), "entries": device.table(pairs)}

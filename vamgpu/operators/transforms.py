@@ -14,13 +14,13 @@ from vamgpu.geometry import FULL_TURN
 from vamgpu.kernels.spectrum import AT_ONCE, FACTOR, ONE_SUM, factors, fourier, in_groups, is_even
 
 MOST = 4
-"""Passes that there may be."""
+"""Largest number of passes."""
 Place = tuple[int, int, int, int]
 """First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.RingBands`."""
 
 
 class Passes:
-    """Fourier transforms of rings, a pass after the other."""
+    """Fourier transforms of rings, one pass after another."""
 
     # bands: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
 
@@ -65,7 +65,7 @@ class Passes:
 
 
 def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> Passes:
-    """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of those ``given``."""
+    """Transforms over the angles of light [angle, r, z] of ``width`` columns, the first of those ``given``."""
     return Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 
@@ -82,19 +82,19 @@ def ring_radices(device: Device, angles: int, samples: list[int]) -> list[tuple[
 
 
 def on_gpu(device: Device) -> bool:
-    """Whether it is one in OpenCL, which computes some transforms in its own way."""
+    """Whether a device is a GPU in OpenCL, which has its own kernels for some transforms."""
     return device.name.startswith("opencl") and getattr(device, "is_gpu", False)
 
 
 def _fits(device: Device) -> Callable[[int], bool]:
-    """Which radices a device has short work with."""
+    """Whether a device computes a radix fast, as a function of the radix."""
     if not device.name.startswith("opencl"):
         return ONE_SUM.__ge__
     return (lambda radix: any(factors(radix))) if on_gpu(device) else AT_ONCE.__ge__
 
 
 def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
-    """Radices of each transform, as many for all: as few passes as make them all fit, else those of the least work."""
+    """Radices of each transform, equally many for all: the fewest that are all fast, else those of the least work."""
     for count in range(1, MOST + 1):
         short = [_radices(n, count, fits) for n in lengths]
         if all(short):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Turntable
-from vamgpu.schema.quantities import Place
+from vamgpu.geometry import Beam, Turntable
+from vamgpu.schema.quantities import Place, numeric
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -34,11 +34,7 @@ class Wobble:
         self, across: Place | Sequence[Place] | np.ndarray = 0.0, along: Place | Sequence[Place] | np.ndarray = 0.0
     ) -> None:
         for name, values in (("across", across), ("along", along)):
-            numbers = np.array(values, np.float64)
-            if numbers.ndim > 1 or not np.isfinite(numbers).all():
-                raise BadInput(f"Wobble {name} has shape {numbers.shape} and {np.count_nonzero(~np.isfinite(numbers))} "
-                               "values that are not finite; expected one finite number [mm] for every "
-                               "angle")  # fmt: skip
+            numbers = numeric(f"Wobble {name}", values, (0, 1), "one finite number [mm] for every angle").copy()
             numbers.setflags(write=False)
             object.__setattr__(self, name, numbers)
 
@@ -73,3 +69,11 @@ class Wobble:
             if values.ndim and len(values) != poses:
                 raise BadInput(f"Wobble {name} has {len(values)} values; expected one for each of {poses} angles")
         return np.stack([np.broadcast_to(v, (poses,)) for v in (self.across, self.along)], axis=1)
+
+
+def check_reach(places: np.ndarray, beam: Beam) -> None:
+    """Raise `BadInput` if an axis at some places [mm] leaves a beam."""
+    far, half = float(np.abs(places).max(initial=0.0)), 0.5 * beam.pixels[0] * beam.pitch
+    if far >= half:
+        raise BadInput(f"the wobble moves the axis by up to {far:.4g} mm, but the beam reaches {half:.4g} mm to either "
+                       "side; expected less: check the wobble's unit, mm")  # fmt: skip

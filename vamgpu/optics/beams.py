@@ -46,9 +46,7 @@ class Wrapper(Vessel):
 
     def check_fits(self, radius: float) -> None:
         """Check a target of a radius [mm] against the wrapped vessel, if that has limits."""
-        check = getattr(self.vessel, "check_fits", None)
-        if check is not None:
-            check(radius)
+        getattr(self.vessel, "check_fits", lambda radius: None)(radius)
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,6 @@ class Fan(Misaligned):
         return self.throw
 
 
-# ---- checks --------------------------------------------------------------------------------------------------------
 def turned(x: Floats, y: Floats, angle: Floats) -> tuple[Floats, Floats]:
     """(x, y) in a frame that is rotated by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)

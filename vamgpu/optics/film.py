@@ -8,11 +8,9 @@ from math import asin, inf, log, pi, sin
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
 from vamgpu.optics.faces import Face, transmit
-from vamgpu.optics.inputs import index
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Absorption, Index, Length
+from vamgpu.schema.quantities import Absorption, Index, Length, measured
 
 NEGLIGIBLE = 0.05
 """Share of the light below which it does not count for the window of light (Toombs et al., S11)."""
@@ -45,7 +43,11 @@ class Film:
     def __post_init__(self) -> None:
         check(self)
         if self.substrate is not None:
-            object.__setattr__(self, "substrate", _sheet(self.substrate))
+            if not isinstance(self.substrate, (tuple, list)) or len(self.substrate) != 2:
+                raise BadInput(f"Film substrate is {self.substrate!r}; expected (thickness [mm], index) or None")
+            thick, index = self.substrate
+            sheet = measured("Film substrate thickness", thick, Length), measured("Film substrate index", index, Index)
+            object.__setattr__(self, "substrate", sheet)
         if self.thickness > self.penetration:
             raise BadInput(
                 f"the film is {self.thickness:g} mm thick, but with an absorption of {self.absorption:g} "
@@ -87,14 +89,6 @@ class Film:
         )
 
 
-def _sheet(value: object) -> tuple[float, float]:
-    try:
-        thick, refraction = value  # type: ignore[misc]
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"Film substrate is {value!r}; expected (thickness [mm], index) or None") from error
-    return positive("Film substrate thickness [mm]", thick), index("Film substrate index", refraction)
-
-
 @dataclass(frozen=True)
 class Coverage:
     """Range of angles to the normal of the film, both sides together [rad]."""
@@ -104,7 +98,6 @@ class Coverage:
     limit: float  # largest gain
     clipped: float  # angle of incidence in the bath above which 1/T exceeds the limit
     lost: float  # part of ``outer`` that is clipped
-    lost_incidence: float  # the same as a range of angles of incidence
 
 
 def coverage(film: Film, radius: float, limit: float, polarization: str = "none") -> Coverage:
@@ -122,4 +115,4 @@ def coverage(film: Film, radius: float, limit: float, polarization: str = "none"
     clipped = asin(low / outer)
     kept = asin(min(1.0, film.ratio * sin(clipped)))
     inner = asin(min(1.0, film.ratio * reach / radius))
-    return Coverage(2.0 * enters, 2.0 * inner, limit, clipped, 2.0 * (enters - kept), pi - 2.0 * clipped)
+    return Coverage(2.0 * enters, 2.0 * inner, limit, clipped, 2.0 * (enters - kept))

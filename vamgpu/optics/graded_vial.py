@@ -77,7 +77,6 @@ class GradedVial(Vessel):
         """Radius of the resin [mm]."""
         return self.radius - self.wall
 
-    # ---- the faces -------------------------------------------------------------------------------------------------
     def _entry(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Position on the inner face (rays, 2), turn of the ray before it [rad], index behind it, sine before it."""
         turn, sine = np.zeros_like(u), u / self.radius
@@ -130,7 +129,6 @@ class GradedVial(Vessel):
             crossings.append((cos_in, cos_out, self.bath_index, front))
         return transmittance(crossings, self.polarization)
 
-    # ---- the rays --------------------------------------------------------------------------------------------------
     def _node(self, u: Floats) -> Floats:
         """Fractional index of the ray of a column: nodes are evenly spaced in ψ, with u = middle + half·sin ψ."""
         low, high = self._span
@@ -174,13 +172,9 @@ class GradedVial(Vessel):
         offset = x * np.cos(angle)[:, None] + y * np.sin(angle)[:, None]
         return 0.5 * (offset.min(axis=1) + offset.max(axis=1)), angle, self.sheet.path[:, -1]
 
-    @property
-    def lit_radius(self) -> float:
-        """Radius [mm] within which, at every angle, every point has a ray and no two rays meet."""
-        return self._lit_radius
-
     @cached_property
-    def _lit_radius(self) -> float:
+    def lit_radius(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Radius [mm] within which, at every angle, every point has a ray and no two rays meet."""
         distance = np.hypot(self.sheet.across, self.sheet.along)
         crossed = distance[2:-2][self.sheet.turned[2:-2] <= 0.0]
         outermost = (_least(self.sheet.across[ray], self.sheet.along[ray]) for ray in (0, -1))

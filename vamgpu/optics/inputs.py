@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vamgpu.errors import BadInput
-from vamgpu.geometry import Vessel, positive
+from vamgpu.geometry import Vessel
+from vamgpu.schema.quantities import numeric
 
 Floats = NDArray[np.float64]
 
@@ -35,22 +35,7 @@ class Container(Vessel):
 
 def as_offsets(name: str, value: ArrayLike) -> Floats:
     """Return the value as float64; raises BadInput if it is not finite."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {value!r}; expected an array of numbers") from error
-    bad = array.size - np.count_nonzero(np.isfinite(array))
-    if bad:
-        raise BadInput(f"{name} holds {bad} values that are not finite; expected finite numbers throughout")
-    return array
-
-
-def index(name: str, value: float) -> float:
-    """Return a refractive index relative to vacuum; raises BadInput if it is not finite or below 1."""
-    number = positive(name, value)
-    if number < 1.0:
-        raise BadInput(f"{name} is {number:g}; expected a refractive index of at least 1; give it relative to vacuum")
-    return number
+    return numeric(name, value, (), "finite numbers throughout")
 
 
 def absorbed_share(absorption: float, path: Floats) -> Floats:

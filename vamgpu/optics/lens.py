@@ -55,10 +55,12 @@ class TunableLens:
     def __post_init__(self) -> None:
         if len(self.focal) != 4:
             raise BadInput(f"focal is {self.focal!r}; expected the focal lengths of L1, L2, L3 and L4 [mm]")
+        if not isinstance(self.powers, (tuple, list)) or len(self.powers) != 2:
+            raise BadInput(f"powers is {self.powers!r}; expected (lowest, highest) [dpt]")
         check(self)
         if self.offset == 0:
             raise BadInput(f"offset is {self.offset!r}; expected the focal length of the fixed lens [mm], not 0")
-        low, high = _two(self.powers)
+        low, high = self.powers
         if low >= high:
             raise BadInput(f"powers go from {low:g} to {high:g} dpt; expected the lowest first and a higher one next")
 
@@ -155,11 +157,3 @@ def _lens(power: float) -> np.ndarray:
 def _way(length: float) -> np.ndarray:
     """A straight path [mm]."""
     return np.array([[1.0, length], [0.0, 1.0]])
-
-
-def _two(powers: object) -> tuple[float, float]:
-    try:
-        low, high = powers  # type: ignore[misc]
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"powers is {powers!r}; expected (lowest, highest) [dpt]") from error
-    return low, high

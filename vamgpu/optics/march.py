@@ -58,13 +58,11 @@ class Marched:
 class Marcher:
     """A medium on a device, prepared to trace tables of rays repeatedly. Raises `BadInput`."""
 
-    device: Device
-    field: IndexField
-
     def __init__(self, field: IndexField, device: str | Device | None = None) -> None:
         if not isinstance(field, IndexField):
             raise BadInput(f"got {field!r} for a medium; expected a FormulaField, a GridField or a FunctionField")
-        self.device, self.field = open_device(device), field
+        self.device: Device = open_device(device)
+        self.field: IndexField = field
         self.kernel: Kernel | None = None
         self._tables: dict[str, DeviceArray] = {}
         known = field.sampled if isinstance(field, FunctionField) and self.device.name != "numpy" else field
@@ -124,7 +122,7 @@ class Marcher:
 def march(
     field: IndexField, place: ArrayLike, direction: ArrayLike, *, step: float | None = None,
     tolerance: float | None = None, until: float | None = None, scheme: str = "sharma", rows: int = 1,
-    halvings: int = HALVINGS, device: str | Device | None = None,
+    device: str | Device | None = None,
 ) -> Marched:  # fmt: skip
     """Rays from positions along directions until they leave the field's region, or until ∫ds/n reaches ``until``.
 
@@ -137,7 +135,6 @@ def march(
         tolerance: largest error of an end [mm].
         until: ∫ds/n [mm] at which rays stop; without it they must leave the region.
         scheme: "sharma" (fourth order), "leapfrog" (second, symplectic) or "yoshida" (fourth, symplectic).
-        halvings: number of halvings of the first step to try in order to reach the tolerance.
         rows: number of points of each ray's path, equally spaced in ∫ds/n; 1 is only the start.
 
     Raises:
@@ -152,7 +149,7 @@ def march(
     if tolerance is None:
         size = positive("step [mm]", step or 0.0)
         return _checked(field, until, _traced(marcher, starts, size, span, until, scheme, rows))
-    return _refined(marcher, starts, positive("tolerance [mm]", tolerance), span, until, scheme, rows, halvings)
+    return _refined(marcher, starts, positive("tolerance [mm]", tolerance), span, until, scheme, rows)
 
 
 def _span(field: IndexField, until: float | None) -> float:
@@ -177,14 +174,7 @@ def _traced(
 
 
 def _refined(
-    marcher: Marcher,
-    starts: Floats,
-    tolerance: float,
-    span: float,
-    until: float | None,
-    scheme: str,
-    rows: int,
-    halvings: int,
+    marcher: Marcher, starts: Floats, tolerance: float, span: float, until: float | None, scheme: str, rows: int
 ) -> Marched:
     field, order = marcher.field, ORDERS.get(scheme, 1)
     noise = NOISE * (field.region.size or span) if marcher.device.real.itemsize < 8 else 0.0
@@ -194,7 +184,7 @@ def _refined(
     step = (min(span, field.region.size) if field.region.size else span) / FIRST
     best = _checked(field, until, _traced(marcher, starts, step, span, until, scheme, rows))
     todo = np.arange(len(starts))
-    for _ in range(halvings):
+    for _ in range(HALVINGS):
         step *= 0.5
         finer = _checked(field, until, _traced(marcher, starts[todo], step, span, until, scheme, rows))
         apart = np.linalg.norm(finer.place - best.place[todo], axis=1) / (2.0**order - 1.0)
@@ -203,7 +193,7 @@ def _refined(
         if not todo.size:
             return best
     worst = todo[np.argmax(best.error[todo])]
-    raise RayError(f"after {halvings} halvings, at steps of {step:.3g} mm, {todo.size} of {len(starts)} rays are off "
+    raise RayError(f"after {HALVINGS} halvings, at steps of {step:.3g} mm, {todo.size} of {len(starts)} rays are off "
                    f"by more than {tolerance:g} mm (ray {worst} by {best.error[worst]:.3g} mm); smooth the medium or "
                    "use a larger tolerance")  # fmt: skip
 

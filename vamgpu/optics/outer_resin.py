@@ -19,27 +19,28 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import FEW, ahead
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, centers, positive
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, centers, positive, resin_radius
 from vamgpu.kernels.footprint import TAIL
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.compose import combine
 from vamgpu.operators.defocus import direct
+from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.polar import PolarGrid, WritesPose
+from vamgpu.operators.polar import PolarGrid, WritesPose, writes_stored
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK, SparseEntries
-from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
+from vamgpu.optics.traced_rays import Rays, traced_rays
 from vamgpu.schema.quantities import Thickness
 
 WIDTH = 2.0
 """Width of a cell beside the part [voxels]."""
 MOST_ANGLES = 1440
-"""Greatest number of even angles per turn between which measured angles are placed."""
+"""Greatest number of evenly spaced angles per turn between which measured angles are placed."""
 TOGETHER = 64
 """Rows whose crossings a thread finds at once."""
 RAYS, STEPS = 6, 8
@@ -111,7 +112,7 @@ def outer_cells(
 
 
 def _whole_turn(motion: Turntable) -> int:
-    """Even angles over a full turn that include a turntable's angles; else twice as many as those at their closest."""
+    """Even angles over a full turn that include a turntable's angles; if there are none, half its median step apart."""
     step = float(np.median(np.diff(np.sort(motion.poses)))) if motion.angles > 1 else 0.5 * FULL_TURN
     count = max(round(FULL_TURN / max(step, FULL_TURN / MOST_ANGLES)), 2)
     place = motion.poses / FULL_TURN * count
@@ -138,24 +139,22 @@ class OuterResin(LinearOperator):
     # that are not evenly spaced are divided among the even angles next to them; arcs count by their mean.
 
     domain: PolarSpace
-    range: SinogramSpace
-    grid: Grid
-    beam: Beam
-    motion: Turntable
-    vessel: Vessel | None
-    cells: OuterRings
 
     def __init__(self, A: Projection | RingProjection, cells: OuterRings) -> None:
-        self.grid, self.beam, self.motion, self.vessel = A.grid, A.beam, A.motion, A.vessel
+        self.grid: Grid = A.grid
+        self.beam: Beam = A.beam
+        self.motion: Turntable = A.motion
+        self.vessel: Vessel | None = A.vessel
         self.device: Device = A.device
         self._made = OuterResin, (A, cells)
-        self.cells = cells
+        self.cells: OuterRings = cells
         self.domain = PolarSpace(cells)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = A.range  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.range: SinogramSpace = A.range  # pyright: ignore[reportIncompatibleVariableOverride]
         tiles = _tiles(A, cells)
         rest = Turntable(cells.angles, lit_share=0.0)  # tiles know how far each frame turns
         self._spectral = SpectralProjection(cells, A.beam, A.vessel, A.device, faint=3e-4, motion=rest, tiles=tiles)
         self._rows = RowResampler.of(A.beam, cells.slices, cells.slice_pitch, A.device, gap=cells.gap)
+        self._dwell = Dwell(A.motion, A.beam, A.device)
         self._turn = _between(A.motion, A.beam.pixels[0], A.device, cells.angles)
 
     def __repr__(self) -> str:
@@ -167,9 +166,10 @@ class OuterResin(LinearOperator):
             self._spectral._gather(x, even)
             if self._turn is not None:
                 self.device.launch(gather_rows, source=even, **self._turn[0], out=rows)
+        self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        even = rows = self._rows.in_slices(y, self._rows_field)
+        even = rows = self._rows.in_slices(self._dwell.weighted(y), self._rows_field)
         if self._turn is not None:
             even = self._field("even", self.cells.angles)
             self.device.launch(gather_rows, source=rows, **self._turn[1], out=even)
@@ -184,15 +184,15 @@ class OuterResin(LinearOperator):
 
 
 def _between(motion: Turntable, columns: int, device: Device, count: int) -> tuple[_Sparse, _Sparse] | None:
-    """Tables from light of even angles to that of a turntable's, and back; None if the angles are the same."""
-    if motion.is_even and count == motion.angles:
+    """Tables that convert light of evenly spaced angles to a turntable's, and back; None if they are the same."""
+    if motion.theta is None and count == motion.angles:
         return None
     angle = np.arange(motion.angles)
     low, part = np.divmod((motion.poses / FULL_TURN * count).round(6), 1.0)
     pairs = [(low, 1.0 - part), (low + 1, part)]
     rows = np.concatenate([angle] * 2)[:, None] * columns + np.arange(columns)
     even = np.concatenate([np.mod(at, count) for at, _ in pairs]).astype(int)[:, None] * columns + np.arange(columns)
-    weights = np.concatenate([share * motion.times for _, share in pairs])[:, None] * np.ones(columns)
+    weights = np.concatenate([share for _, share in pairs])[:, None] * np.ones(columns)
     kept = weights.ravel() != 0.0
     entries = SparseEntries(*(
         each.ravel()[kept].astype(kind) for each, kind in ((rows, np.int32), (even, np.int32), (weights, np.float32))
@@ -244,7 +244,6 @@ _Cells = tuple[OuterResin, DeviceArray]
 _Sparse = dict[str, DeviceArray]
 
 
-# ---- one pose, traced ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Tile:
     """The light of one angle in `ROWS` rings."""
@@ -266,16 +265,7 @@ class _Tile:
         return -1 if ray < 0 else int(self.columns.indices[: self.columns.indptr[ray + 1]].max(initial=-1))
 
     def pose(self, beam: Beam, shape: tuple[int, ...], device: Device) -> WritesPose:
-        light = (self.paths @ self.columns).toarray().reshape(ROWS, shape[0], shape[1] // ROWS, -1)
-        light = light.transpose(1, 2, 0, 3).reshape(*shape, -1)
-
-        def write(first: int, factor: float, out: DeviceArray) -> None:
-            some = light[..., first : first + out.shape[2]]
-            pose = np.pad(some, ((0, 0), (0, 0), (0, out.shape[2] - some.shape[2])))
-            pose[..., 0] *= factor
-            device.put(pose, out)
-
-        return write
+        return writes_stored((self.paths @ self.columns).toarray(), 0, shape, device)
 
 
 def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:

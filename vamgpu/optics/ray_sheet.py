@@ -33,7 +33,7 @@ class RaySheet:
     @classmethod
     def traced(cls, look: Look, starts: Floats, times: Floats, rows: int) -> RaySheet:
         """Rays from positions and headings (rays, 6), each over its own ∫ds/n [mm], in ``rows`` − 1 steps by Sharma."""
-        state, step = State(look, starts), times / (rows - 1)
+        state, step = State.begun(look, starts), times / (rows - 1)
         across, along, path = ([value] for value in (state.place[:, 0], state.place[:, 1], state.length))
         for _ in range(rows - 1):
             state = state.advanced(look, step, 0)

@@ -38,7 +38,10 @@ class FilmIndex:
     def __post_init__(self) -> None:
         check(self)
         if isinstance(self.index, (FormulaField, GridField, FunctionField)):
-            deep = self.index.weights[2] if isinstance(self.index, FormulaField) else _axes(self.index) - 2
+            if isinstance(self.index, FormulaField):
+                deep = self.index.weights[2] != 0.0
+            else:
+                deep = (self.index.coefficients.ndim if isinstance(self.index, GridField) else self.index.axes) > 2
             if deep:
                 raise BadInput(f"FilmIndex index is a {type(self.index).__name__} that depends on z; expected one of "
                                "x and y, because all rows of a web share the light of one angle")  # fmt: skip
@@ -101,7 +104,3 @@ class FilmIndex:
         new = np.hypot(px, py)
         rays["dx"], rays["dy"] = px / new, py / new
         return new
-
-
-def _axes(medium: GridField | FunctionField) -> int:
-    return medium.coefficients.ndim if isinstance(medium, GridField) else medium.axes

@@ -6,7 +6,6 @@ and once to the inner one, and the first end counts; a straight run is a box.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import ceil, hypot, sqrt
 from typing import Any
 
@@ -29,17 +28,14 @@ INNER, OUTER, MIDDLE, FINISH, NONE = range(5)
 class FilmMarcher:
     """A film's medium on a device; radii of the film, length of the straight runs and stride in mm."""
 
-    marcher: Marcher
-    inner: float
-    outer: float
-    leg: float
-    stride: float
-
     def __init__(
         self, medium: IndexField, inner: float, outer: float, leg: float, stride: float, device: str | Device | None
     ) -> None:
-        self.marcher = Marcher(medium, device)
-        self.inner, self.outer, self.leg, self.stride = inner, outer, leg, stride
+        self.marcher: Marcher = Marcher(medium, device)
+        self.inner: float = inner
+        self.outer: float = outer
+        self.leg: float = leg
+        self.stride: float = stride
 
     def run(self, rays: dict[str, Any], index: Floats, powers: Floats, pieces: list[dict[str, Any]]) -> np.ndarray:
         """Take the rays in the film to the faces that they meet next, and record the segments of their paths."""
@@ -49,18 +45,15 @@ class FilmMarcher:
         face = np.full(index.size, NONE)
         for side in (-1, 0, 1):
             rows = np.flatnonzero(rays["film"] & (rays["side"] == side))
-            for some in self._together(rows, side):
+            together = max(1, PATHS // (12 * (self._steps(side) + 1)))
+            for first in range(0, rows.size, together):
+                some = rows[first : first + together]
                 face[some] = self._marched(rays, some, side, index[some], powers[some], pieces)
         return face
 
     def _steps(self, side: int) -> int:
         longest = hypot(self.outer - self.inner, self.leg) if side else 2.0 * sqrt(self.outer**2 - self.inner**2)
         return ceil(DETOUR * longest / self.stride)
-
-    def _together(self, rows: np.ndarray, side: int) -> Iterator[np.ndarray]:
-        each = max(1, PATHS // (12 * (self._steps(side) + 1)))
-        for first in range(0, rows.size, each):
-            yield rows[first : first + each]
 
     def _marched(
         self, rays: dict[str, Any], some: np.ndarray, side: int, index: Floats, power: Floats,

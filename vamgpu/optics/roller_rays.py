@@ -76,7 +76,7 @@ class Segments:
     side: np.ndarray  # −1 and 1 in the straight runs at negative and positive x, 0 on the roller
 
     def absorbed(self, absorption: float) -> Floats:
-        """Power absorbed in each segment, as a share of its ray's; length times power without absorption."""
+        """Fraction of a ray's power that each segment absorbs; without absorption, length times power."""
         if absorption == 0:
             return self.power * self.length
         return self.power * np.exp(-absorption * self.before) * -np.expm1(-absorption * self.length)
@@ -111,7 +111,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     end = np.full(x.size, int(End.MISSED), dtype=np.int8)
     share[rays["ray"]] = first
     pieces: list[dict[str, Any]] = []
-    # more strides than a ray has that goes the length of the window four times
+    # more strides than a ray takes along four lengths of the window
     strides = 0 if layers.field is None else int(4.0 * (layers.leg + layers.shell) / layers.field.stride)
     for _ in range(MOST_FACES + strides):
         if not rays["ray"].size:

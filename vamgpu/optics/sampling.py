@@ -55,7 +55,7 @@ def more_angles(motion: Turntable, width: float, radius: float) -> int:
 
 
 def enough_angles(beam: Beam, vessel: Any, radius: float | str, lit_share: float = 1.0) -> int:
-    """Number of even angles of a turn at which no point of a part moves farther than four pixels.
+    """Number of evenly spaced angles of a turn between which no point of a part moves farther than four pixels.
 
     The distance, in widths of a pixel in the resin, is how far the farthest point moves while a frame is lit or, if
     that is more, half of how far it moves to the next angle. Patterns optimized with the motion in

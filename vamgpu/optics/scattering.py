@@ -90,10 +90,16 @@ class Scattering:
 
 def _rising(phase: object) -> tuple[tuple[float, float], ...]:
     """A measured phase function; raises `BadInput` unless its angles rise from 0 to π and some of it is not dark."""
-    rows = np.array(phase, np.float64)
+    try:
+        rows = np.array(phase, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"Scattering phase is {phase!r}; expected pairs of an angle [rad] and an intensity, or none: "
+                       "anisotropy sets the phase function of Henyey and Greenstein") from error  # fmt: skip
     if rows.ndim != 2 or rows.shape[1] != 2 or len(rows) < 2:
         raise BadInput(f"Scattering phase has shape {rows.shape}; expected pairs of angle and intensity, two or more")
     angle, intensity = rows.T
+    if not (intensity >= 0.0).all():
+        raise BadInput(f"Scattering phase has the intensity {np.nanmin(intensity):g}; expected numbers ≥ 0")
     if (np.diff(angle) <= 0.0).any() or abs(angle[0]) > 1e-6 or abs(angle[-1] - np.pi) > 1e-3 or not intensity.any():
         raise BadInput(f"Scattering phase has {len(rows)} angles from {np.degrees(angle[0]):g}° to "
                        f"{np.degrees(angle[-1]):g}°; expected them to rise from 0° to 180°, with light at some: extend "

@@ -11,10 +11,10 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid, centers, counts, positive
 from vamgpu.optics.index_field import GridField, Region
-from vamgpu.optics.inputs import Floats, index
+from vamgpu.optics.inputs import Floats
 from vamgpu.optics.march import march
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Length, Place, Positive
+from vamgpu.schema.quantities import Index, Length, Place, Positive, measured
 
 MARGIN = 2
 """Pixels by which the light is wider than the camera; its rim is then lit like its middle."""
@@ -59,7 +59,7 @@ def cured_index(cured: ArrayLike, grid: Grid, resin_index: float, contrast: floa
         raise ShapeMismatch(f"the cured field has shape {values.shape}, the grid {grid.shape}; make them equal")
     if grid.shape[2] < 4:
         values = values.mean(axis=2)
-    return GridField.from_array(index("resin_index", resin_index) + contrast * values, grid.pitch)
+    return GridField.from_array(measured("resin_index", resin_index, Index) + contrast * values, grid.pitch)
 
 
 def shadowgram(
@@ -93,7 +93,7 @@ def shadowgram(
     if flat and camera.pixels[1] != 1:
         raise BadInput(f"a field of x and y lights one row of pixels; the camera has {camera.pixels[1]}")
     radius = min(-field.corner[0], -field.corner[1])
-    n = index("resin_index", resin_index)
+    n = measured("resin_index", resin_index, Index)
     (rays,) = counts("rays", (rays,), 1)
     across = centers((camera.pixels[0] + 2 * MARGIN) * rays, camera.pitch / rays)
     up = np.zeros(1) if flat else centers((camera.pixels[1] + 2 * MARGIN) * rays, camera.pitch / rays)

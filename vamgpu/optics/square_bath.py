@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords
 from vamgpu.optics.double_walled_vial import DoubleWalledVial
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Container, Floats, as_offsets
-from vamgpu.optics.interface import fresnel
+from vamgpu.optics.interface import POLARIZATIONS, fresnel
 from vamgpu.optics.vial import Vial
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, HalfTilt, Index, Length, Thickness
@@ -87,17 +87,12 @@ class SquareBath(Container):
         """Radius of the resin [mm]."""
         return self.vessel.inner_radius
 
-    @property
-    def lit_radius(self) -> float:
-        """Radius that light from the window reaches at every angle [mm]."""
-        return self._lit_radius
-
     @cached_property
-    def _lit_radius(self) -> float:
+    def lit_radius(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Radius that light from the window reaches at every angle [mm]."""
         low, high = self.vessel.chords(self._across(np.array(self._window))).p
         return max(min(self.vessel.lit_radius, float(high), float(-low)), 0.0)
 
-    # ---- the window -------------------------------------------------------------------------------------------------
     @cached_property
     def _sines(self) -> tuple[float, float, float]:
         """Sines of the angles to the window's normal in front of it, in it, and behind it."""
@@ -145,18 +140,13 @@ class SquareBath(Container):
         )
         return np.prod(list(pairs), axis=0) * np.exp(-self.wall_absorption * self.wall / self._cosines[1])
 
-    @cached_property
-    def _polarized(self) -> tuple[Vial, ...]:
-        """The vial in s and in p light."""
-        return replace(self.vessel, polarization="s"), replace(self.vessel, polarization="p")
-
     def _share(self, u: Floats, q: Floats) -> Floats:
         """The share of the vial's light at q that window and liquid transmit; s stays s and p stays p at all faces."""
         shares, kind = self._faces, self.vessel.polarization
         if kind != "none" or self.tilt == 0.0:
             left = np.full_like(q, shares["sp".index(kind)] if kind != "none" else shares.mean())
         else:
-            s, p = (vial.transmitted(q) for vial in self._polarized)
+            s, p = (replace(self.vessel, polarization=kind).transmitted(q) for kind in POLARIZATIONS[1:])
             both = np.maximum(s + p, np.finfo(np.float64).tiny)
             left = (shares[0] * s + shares[1] * p) / both
         if self.liquid_absorption > 0:
@@ -171,7 +161,6 @@ class SquareBath(Container):
         start, radius = place * sine - half * cosine, self.vessel.radius
         return np.maximum(-np.sqrt(np.maximum((radius - q) * (radius + q), 0.0)) - start, 0.0)
 
-    # ---- for projectors ---------------------------------------------------------------------------------------------
     def chords(self, u: ArrayLike) -> Chords:
         offsets = as_offsets("u", u)
         q = self._across(offsets)

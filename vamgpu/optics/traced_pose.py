@@ -55,21 +55,13 @@ class _Row:
         rising = np.sign(np.diff(self.crossing.across))
         turns = np.flatnonzero(rising[1:] * rising[:-1] < 0) + 1
         self.ends = np.concatenate([[0], turns, [self.u.size - 1]])
-        self.center = int(np.clip(np.searchsorted(self.ends, middle, side="right") - 1, 0, len(self.ends) - 2))
-
-    @property
-    def before(self) -> int:
-        """Branches at columns below those of the branch through the axis."""
-        return self.center
-
-    @property
-    def behind(self) -> int:
-        """Branches at columns above those of the branch through the axis."""
-        return len(self.ends) - 2 - self.center
+        # branches at columns below and above those of the branch through the axis
+        self.before = int(np.clip(np.searchsorted(self.ends, middle, side="right") - 1, 0, len(self.ends) - 2))
+        self.behind = len(self.ends) - 2 - self.before
 
     def branch(self, number: int) -> Floats:
         """First and last offset, and the share, at every position of the row: (3, positions)."""
-        index = self.center + number
+        index = self.before + number
         if not 0 <= index < len(self.ends) - 1:
             end = self.u[0 if index < 0 else -1]
             return np.stack([np.full_like(self.place, end)] * 2 + [np.zeros_like(self.place)])

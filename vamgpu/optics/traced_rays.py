@@ -92,20 +92,12 @@ class BentRays:
 
 @dataclass(frozen=True, eq=False)
 class ShadedRays:
-    """Rays from which a rod takes its share."""
+    """Rays that a rod partly blocks; offsets and transmittance are those without the rod."""
 
+    u: Floats
+    transmittance: Floats
     inner: Rays
     rod: Occluded
-
-    @property
-    def u(self) -> Floats:
-        """Offsets of the rays without the rod."""
-        return self.inner.u
-
-    @property
-    def transmittance(self) -> Floats:
-        """Without the rod."""
-        return self.inner.transmittance
 
     def cross(self, along: float) -> Crossing:
         """See `Rays.cross`."""
@@ -122,14 +114,14 @@ class ShadedRays:
         return -np.sign(drift) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
 
 
-# ---- how the rays of a vessel are traced ---------------------------------------------------------------------------
 def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
     """Rays of one angle, from columns within ``reach`` [mm] of the middle. Raises `BadInput` if none enters resin."""
     if vessel is None:
         u = np.linspace(-reach, reach, rays)
         return StraightRays(u, np.ones(rays), u, np.ones(rays), np.zeros(rays), np.zeros(rays), 0.0)
     if isinstance(vessel, Occluded):
-        return ShadedRays(traced_rays(vessel.vessel, reach, rays), vessel)
+        inner = traced_rays(vessel.vessel, reach, rays)
+        return ShadedRays(inner.u, inner.transmittance, inner, vessel)
     if isinstance(vessel, GradedVial):
         return _bent(vessel)
     u = _offsets(vessel, reach, rays)
@@ -191,14 +183,3 @@ def _bent(vial: GradedVial) -> BentRays:
     sheet: Any = vial.sheet
     u = vial._column(np.arange(vial.rays, dtype=float))[0]
     return BentRays(u, vial.chords(u).transmittance, sheet.across, sheet.along, sheet.path, vial.absorption)
-
-
-def resin_radius(vessel: Any) -> float:
-    """Radius [mm] of the resin that turns freely: the inner wall; infinite in open air."""
-    if vessel is None:
-        return float("inf")
-    for name in ("inner_radius", "printable_radius"):
-        if hasattr(vessel, name):
-            return float(getattr(vessel, name))
-    inner = getattr(vessel, "inner", None)
-    return resin_radius(inner) if inner is not None else float(vessel.lit_radius)

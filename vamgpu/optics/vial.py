@@ -208,18 +208,13 @@ class Vial(Container):
                 f"resin of index {self.resin_index:g} by total reflection; scale or center the target, or use a "
                 f"{self.barrier} of higher index"
             )
-        dim = self._radius_of_low_transmittance(radius)
-        if dim is not None:
+        p = np.linspace(0.0, radius, 2049)
+        share = self.chords(impact_after(p, self.resin_index, self.bath_index)).transmittance
+        if (dim := p[share < LOW_TRANSMITTANCE]).size:
             warnings.warn(
-                f"beyond {dim:.3g} mm from the axis the faces of the vial transmit less than {LOW_TRANSMITTANCE:g} of "
-                f"the light, but the target reaches {radius:.4g} mm; expect dimmer edges, or bring the bath's index "
+                f"beyond {dim[0]:.3g} mm from the axis the faces of the vial transmit less than {LOW_TRANSMITTANCE:g} "
+                f"of the light, but the target reaches {radius:.4g} mm; expect dimmer edges, or bring the bath's index "
                 "closer to the resin's",
                 OpticsWarning,
                 stacklevel=2,
             )
-
-    def _radius_of_low_transmittance(self, radius: float) -> float | None:
-        p = np.linspace(0.0, radius, 2049)
-        share = self.chords(impact_after(p, self.resin_index, self.bath_index)).transmittance
-        low = np.flatnonzero(share < LOW_TRANSMITTANCE)
-        return float(p[low[0]]) if low.size else None

@@ -29,7 +29,7 @@ NARROW = "widen gaps narrower than two pixels, or use smaller pixels"
 REACHED = 0.98
 """Share of the widest window; if a plan exceeds it, no other patterns do much better."""
 TAIL, STILL = 0.25, 0.02
-"""The last fraction of a run, and the relative drop in loss during it above which the run is still improving."""
+"""The last share of a run, and the relative drop of its loss there: with a greater drop, it is still improving."""
 LOST = 0.05
 """Share of lost wall area above which the distance of 95 % of the surface shows the loss."""
 
@@ -56,9 +56,11 @@ class Causes:
     @cached_property
     def light(self) -> str:
         """Remedy for patterns that could be better: more bits, more angles, more evaluations, or none of these."""
-        enough, few = self._more_angles, getattr(self.proof.frames, "bits", 8) < 8
-        return "; ".join(["use 8-bit frames"] * few + [f"use {enough:,} angles"] * (enough > 0)
-                         + [self._evaluations])  # fmt: skip
+        proof, enough, few = self.proof, self._more_angles, getattr(self.proof.frames, "bits", 8) < 8
+        own = proof.claimed.window if proof.corners is None else proof.corners.window
+        bounded = proof.bound is not None and proof.bound.share(own) >= REACHED
+        rest = BOUNDED if bounded else CONVERGED if converged(proof.history) else EVALUATIONS
+        return "; ".join(["use 8-bit frames"] * few + [f"use {enough:,} angles"] * (enough > 0) + [rest])
 
     @property
     def rough(self) -> str:
@@ -72,14 +74,6 @@ class Causes:
         """Remedy if no exposure prints the deep voxels correctly. A part without deep voxels counts as thin."""
         thin = not self.judgement.over_tolerance.judged_at(self.judgement.deep)
         return f"{self.light}; {THIN}" if thin else self.light
-
-    @property
-    def _evaluations(self) -> str:
-        proof = self.proof
-        own = proof.claimed.window if proof.corners is None else proof.corners.window
-        if proof.bound is not None and proof.bound.share(own) >= REACHED:
-            return BOUNDED
-        return CONVERGED if converged(proof.history) else EVALUATIONS
 
     @property
     def _more_angles(self) -> int:
@@ -96,7 +90,7 @@ class Causes:
         """Bodies that change if the surface moves inward by a pixel, and those that change if it moves outward."""
         grid, flat = self.proof.operator.grid, self.proof.operator.beam.flat
         reach = min(self.judgement.pixel / grid.pitch, LARGEST_REACH - 3.0)
-        depth, _ = padded_depth(self.proof.target.numpy(), reach, flat)
+        depth, _ = padded_depth(self.proof.target.numpy(), reach, flat, self.proof.operator.device)
         part = topology(runs_of(depth > 0.0))
         moved = (topology(runs_of(depth, at)) for at in (reach, -reach))
         inside, outside = (body_changes(part, one, grid.voxel_volume) for one in moved)

@@ -125,14 +125,11 @@ def columns(history: Sequence[Any]) -> dict[str, np.ndarray]:
     """Numeric fields of a history's records, by name; NaN if a record lacks one."""
     rows = [_fields(record) for record in history]
     names = dict.fromkeys(name for row in rows for name, value in row.items() if isinstance(value, Real))
-    return {name: np.array([_number(row.get(name)) for row in rows]) for name in names}
+    return {name: np.array([float(row[name]) if isinstance(row.get(name), Real) else np.nan for row in rows])
+            for name in names}  # fmt: skip
 
 
 def _fields(record: Any) -> dict[str, Any]:
     if is_dataclass(record):
         return {field.name: getattr(record, field.name) for field in fields(record)}
     return dict(record._asdict()) if hasattr(record, "_asdict") else dict(record)
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, Real) else float("nan")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from math import inf
 from typing import Any
 
 from vamgpu.methods.part import on_device
-from vamgpu.methods.tolerances import Corner, CornerDose, CornerDoses, Tolerances, at
+from vamgpu.methods.tolerances import Corner, CornerDoses, Tolerances, at, corner_doses
 from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
@@ -22,15 +21,12 @@ def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerance
     fraction, light = on_device(A, target), frames.irradiance(A.device)
     limits = getattr(target, "limits", None)
     reach = A.grid.inscribed_radius / A.grid.pitch * (1.0 + 1e-6)
-    found: dict[Corner, tuple[float, float, float]] = {}
-    doses = []
-    for corner in tolerances.corners():
-        if corner.optics not in found:
-            operator = at(A, corner)
-            plain = isinstance(operator, Projection)
-            dose = IndependentExposure(operator).averaged(light)[0] if plain else operator.T(light)
-            parts = judged_parts(dose, fraction, limits)
-            found[corner.optics] = window(parts.dose, parts.target, reach)
-        least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
-        doses.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
-    return CornerDoses(tuple(doses))
+
+    def measure(corner: Corner) -> tuple[float, float, float]:
+        operator = at(A, corner)
+        plain = isinstance(operator, Projection)
+        dose = IndependentExposure(operator).averaged(light)[0] if plain else operator.T(light)
+        parts = judged_parts(dose, fraction, limits)
+        return window(parts.dose, parts.target, reach)
+
+    return corner_doses(tolerances, measure)

@@ -22,6 +22,7 @@ from vamgpu.geometry import counts, positive
 from vamgpu.printing.folder import describe
 from vamgpu.quantity import positive as number
 from vamgpu.storage.atomic import as_path, check_folder, replacing
+from vamgpu.storage.films import FULL_RANGE, HIGH, LOW
 from vamgpu.storage.images import deflated, encode_png
 from vamgpu.storage.manifest import plain
 
@@ -38,7 +39,7 @@ class Canvas:
 
     Args:
         size: Columns and rows; None for those of the frames.
-        offset: Columns to the right and rows upwards by which the middle of the frames is off that of the canvas.
+        offset: Shift of the frames from the middle of the canvas: columns to the right, and rows upwards.
         rotation: Rotation of the frames, counterclockwise [deg]. Quarter turns keep every level; others interpolate the
             light (not the levels) linearly between neighboring pixels.
         flip_r: Mirror the frames left to right, in addition to their own flip.
@@ -90,7 +91,7 @@ class Canvas:
         yield from repeat(black, self.dark[1])  # type: ignore[misc]
 
     def undone(self, images: np.ndarray, angles: int, rows: int, columns: int) -> np.ndarray:
-        """The levels of the first turn among images that a canvas was exported as. Raises `BadInput`."""
+        """The levels of the first turn, taken back from images that this canvas exported. Raises `BadInput`."""
         if self.keystone is not None or self.rotation % 90:
             raise BadInput("the images were not rotated by whole quarter turns, or have a keystone; expected plain "
                            "ones: prove the job that they were exported from")  # fmt: skip
@@ -202,7 +203,8 @@ def export(
         raise StorageError(f"{str(path)!r} is a folder, which is never replaced; remove it or choose another path")
     check_folder(place)
     if canvas is not None and writer is _npz:
-        raise BadInput("an .npz file holds the frames themselves; expected no canvas: export images or a video with it")
+        raise BadInput("an .npz file holds the frames themselves; expected no canvas, rotation, flips or "
+                       "repeats: export images or a video with them")  # fmt: skip
     if (players or channel is not None) and writer is not _mp4:
         raise BadInput(f"players read videos, not {place.name!r}; expected a path ending in .mp4")
     if channel is not None and channel not in CHANNELS:
@@ -324,9 +326,8 @@ def _mp4(shown: _Shown, draft: Path) -> None:
         raise StorageError(f"cannot encode {draft.name!r}: {error}; export PNG or TIFF instead") from error
 
 
-FULL_RANGE, LIMITED_RANGE = 2, 1
-"""FFmpeg's names for pixel values from 0 to 255, and from 16 to 235; without the first, players stretch the values."""
-LOW, HIGH = 16, 235
+LIMITED_RANGE = 1
+"""FFmpeg's number for levels from 16 to 235; without a number, players stretch the levels."""
 
 
 @dataclass(frozen=True)

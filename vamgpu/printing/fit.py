@@ -205,7 +205,7 @@ class _Fit:
     @cached_property
     def goal(self) -> dict[str, float]:
         """Least and most dose of the part, and the most of a void."""
-        return dict(zip(("least", "leak", "most"), self._extremes(self.A.T(self.light)), strict=True))
+        return dict(zip(("least", "leak", "most"), self.extremes(self.A.T(self.light)), strict=True))
 
     @cached_property
     def side(self) -> DeviceArray:
@@ -228,23 +228,17 @@ class _Fit:
         shadow = A(self.A.device.upload((signs * lit.numpy()).astype(np.float32)))
         return dot(shadow, shadow) / total(A(lit))
 
-    def aimed_at(self, dose: DeviceArray) -> dict[str, float]:
-        """The goal for a dose: the plan's window, or one slightly wider than that of the dose."""
-        if self.ahead is None:
-            return self.goal
-        least, leak, most = self._extremes(dose)
-        return {"least": least + self.ahead * most, "leak": leak - self.ahead * most, "most": most}
-
     def window_of(self, frames: Frames) -> float:
         """Strict window of the dose of frames."""
         return self.window(self.A.T(frames.irradiance(self.A.device)))
 
     def window(self, dose: DeviceArray) -> float:
         """Strict window of a dose; −1 where it is dark."""
-        least, leak, greatest = self._extremes(dose)
+        least, leak, greatest = self.extremes(dose)
         return (least - leak) / greatest if greatest > 0.0 else -1.0
 
-    def _extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
+    def extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
+        """Least dose of the part, most of a void, 0 or more, and most of all."""
         least, leak, greatest = window(dose, self.target, reach_of(self.A.grid))
         return least, max(leak, 0.0), greatest
 
@@ -275,20 +269,21 @@ class _Flips:
             for count in {A.motion.angles for A in fit.poses}
         }
         groups = len(fit.poses)
-        self.light = [self.device.upload(self._raised(lit[group::groups])) for group in range(groups)]
+        self.light = [
+            self.device.upload((lit[group::groups] * self.step).astype(np.float32)) for group in range(groups)
+        ]
         self.best = -2.0
         self._judge()
-
-    def _raised(self, lit: np.ndarray) -> np.ndarray:
-        """Light of lit pixels minus that of dark ones."""
-        return (lit * self.step).astype(np.float32)
 
     def swept(self, order: np.ndarray) -> _Flips:
         """Consider every pixel once, by groups of angles in some order."""
         fit, launch = self.fit, self.device.launch
         prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
         usual = float(self.step[self.step > 0.0].mean()) * fit.share
-        goal = fit.aimed_at(self.dose)
+        goal = fit.goal
+        if fit.ahead is not None:  # slightly wider than the window of the dose
+            least, leak, most = fit.extremes(self.dose)
+            goal = {"least": least + fit.ahead * most, "leak": leak - fit.ahead * most, "most": most}
         for group in order:
             A, light = fit.poses[group], self.light[group]
             change = self.device.empty(light.shape)

@@ -9,7 +9,7 @@ from typing import Any
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.plan_folder import inputs_of, light_of, pixel_pitch, plan_described, sinogram_from
 from vamgpu.printing.frames import Frames
@@ -17,6 +17,7 @@ from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
 from vamgpu.printing.placement import FIT, Placement
 from vamgpu.storage.folder import Entry, Folder, write_folder
+from vamgpu.storage.reading import malformed
 from vamgpu.storage.turntable import described, turntable_from
 
 
@@ -74,7 +75,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
     name, flat = str(folder.path), None
     stored = folder.record("frames")
     packed = stored.dtype == "uint8"
-    try:
+    with malformed(f"the frames in the manifest of {name!r} are malformed", "write the job again"):
         details = folder.manifest.details["frames"]
         poses = details.get("turntable")  # folders of earlier versions do not record it
         motion = None if poses is None else turntable_from(poses)
@@ -83,13 +84,9 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
             settings = Placement(**{**details["settings"], "shift": tuple(details["settings"]["shift"])})
             known: dict[str, Any] = {key: details[key] for key in ("bits", "scale")}
             gray = GrayCurve.parse(details["gray"])
-    except (KeyError, TypeError, AttributeError, BadInput) as error:
-        raise StorageError(
-            f"the frames in the manifest of {name!r} are malformed: {error}; write the job again"
-        ) from error
     if "flat_field" in folder.manifest.arrays:
         flat = folder.array("flat_field")
-    try:
+    with malformed(f"the frames of {name!r} do not fit its manifest", "write it again"):
         if packed:
             images = place.gather(stored.shape, folder.parts("frames"), table=True)
             return Frames(images, gray=gray, settings=settings, flat_field=flat, motion=motion,
@@ -100,8 +97,6 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
             how["dither"] = "round"  # the patterns round to the chosen pixels
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)
         return replace(made, settings=settings, motion=motion, packed=(made.images, source))
-    except BadInput as error:
-        raise StorageError(f"the frames of {name!r} do not fit its manifest: {error}; write it again") from error
 
 
 def describe(frames: Frames) -> dict[str, Any]:

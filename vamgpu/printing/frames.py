@@ -13,11 +13,14 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
-from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.geometry import Turntable, positive
+from vamgpu.errors import BadInput, OutOfMemory, ShapeMismatch
+from vamgpu.geometry import Beam, Turntable, positive
 from vamgpu.kernels.pack import unpack
+from vamgpu.operators.follow import followed
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
+from vamgpu.schema.quantities import numeric
+from vamgpu.storage.memory import afford
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +192,45 @@ class Frames:
         )
         return light
 
+    def followed(self, beam: Beam) -> Frames:
+        """Move the frames with a part that travels, turn after turn, by whole pixels; no level changes.
+
+        Args:
+            beam: The beam whose light the frames show, that of the plan's operator.
+
+        Returns:
+            The frames of all turns, (turns · angles), of more rows than the beam only if light moves beyond it. The
+            frames themselves for a part at rest.
+
+        Raises:
+            BadInput: The frames compensate a flat field, which belongs to mirrors that do not move with them.
+            OutOfMemory: The frames of all turns exceed the memory budget.
+        """
+        path = None if self.motion is None else followed(self.motion, beam)
+        if self.motion is None or path is None:
+            return self
+        if self.flat_field is not None:
+            raise BadInput("frames that follow a part got a flat field, which belongs to mirrors that do not move with "
+                           'them; expected none: pack without it, or set flat = "none" in [calibration]')  # fmt: skip
+        (columns, rows), upward, onward = path.size, 2 * self.settings.flip_z - 1, 1 - 2 * self.settings.flip_r
+        patterns, whole = self.images.numpy(), path.whole.reshape(-1, 2)
+        width, lit = columns if self.bits == 8 else -(-columns // 8), path.lit.reshape(len(whole), -1, 1)
+        # on this machine and on the device
+        afford(2 * len(whole) * rows * width + patterns.nbytes, f"frames of {len(path.whole)} turns", OutOfMemory)
+        images = np.empty((len(whole), rows, width), np.uint8)
+        for number, (column, row) in enumerate(whole):
+            shown = self._unpacked(patterns[number % len(patterns)])[::upward, ::onward] * lit[number]
+            there, z = _shared(row, rows, shown.shape[0])
+            across, r = _shared(column, columns, shown.shape[1])
+            level = np.zeros((rows, columns), np.uint8)
+            level[there, across] = shown[z, r]
+            level = level[::upward, ::onward]
+            images[number] = level if self.bits == 8 else np.packbits(level, axis=-1)
+        while images.shape[1] > beam.pixels[1] and not images[:, [0, -1]].any():
+            images = images[:, 1:-1]
+        images = self.device.upload(np.ascontiguousarray(images), table=True)
+        return replace(self, images=images, columns=columns, motion=self.motion.along(None), packed=None)
+
     def levels(self, first: int = 0, last: int | None = None) -> np.ndarray:
         """The value of every pixel, of all frames or of some.
 
@@ -199,7 +241,9 @@ class Frames:
         Returns:
             Levels, uint8 (frames, rows, columns): 0 to 255, or 0 and 1 if ``bits`` is 1.
         """
-        images = self.images.part(first, self.shape[0] if last is None else last)
+        return self._unpacked(self.images.part(first, self.shape[0] if last is None else last))
+
+    def _unpacked(self, images: np.ndarray) -> np.ndarray:
         return images if self.bits == 8 else np.unpackbits(images, axis=-1, count=self.columns)
 
     def gray_levels(self, first: int = 0, last: int | None = None) -> np.ndarray:
@@ -218,19 +262,21 @@ class Frames:
     pictures: ClassVar[Renamed] = Renamed("gray_levels")
 
 
+def _shared(first: int, size: int, count: int) -> tuple[slice, slice]:
+    """Samples of a frame, and of a pattern of ``count`` samples, that are the same; ``first``: the frame's first."""
+    low = max(first, 0)
+    high = max(min(first + size, count), low)
+    return slice(low - first, high - first), slice(low, high)
+
+
 def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A flat field [row, column] as float64, its brightest mirror 1. Raises `ShapeMismatch`, `BadInput`."""
-    try:
-        flat = np.asarray(flat_field, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"the flat field is not a numeric array: {error}; expected brightness [row, column]") from error
+    flat = numeric("the flat field", flat_field, (), "finite brightness [row, column]")
     if flat.shape != shape:
         raise ShapeMismatch(f"the flat field has shape {flat.shape}; expected {shape} = [row, column] of the frames")
-    if not np.isfinite(flat).all() or flat.min() <= 0:
-        raise BadInput(
-            f"the flat field goes from {flat.min():g} to {flat.max():g}; expected finite brightness > 0: give dead "
-            "mirrors the value of the dimmest one that works"
-        )
+    if flat.min() <= 0:
+        raise BadInput(f"the flat field falls to {flat.min():g}; expected brightness > 0: give dead mirrors the value "
+                       "of the dimmest one that works")  # fmt: skip
     return flat / flat.max()
 
 

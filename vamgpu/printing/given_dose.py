@@ -6,18 +6,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.metrics.line import Line
 from vamgpu.quantity import counted
+from vamgpu.storage.reading import malformed
 
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
 WITHIN = 0.01
-"""Share by which a dose may deviate from the proved one if the proof does not print."""
-MOST = 1e3
-"""The greatest latitude that is reported."""
+"""Relative deviation of a dose from the proved one that is always allowed."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,7 @@ class ProvedDose:
     seconds: float  # exposure until resin at the threshold is solid, all angles together [s]
     irradiance: float  # irradiance of a full-on pixel during that exposure [mW/mm²]
     scale: float  # light of a full-on pixel, in the plan's units
-    # least and greatest dose, relative to the proved one, at which it prints (`Verdict.latitude`); 1 ± `WITHIN` if it
-    # does not print
+    # least and greatest dose, relative to the proved one, at which it prints (`Verdict.latitude`): 1 ± `WITHIN` or more
     least: float
     most: float
     right: bool  # whether it prints at the proved dose
@@ -41,9 +39,12 @@ class ProvedDose:
             raise BadInput(f"the proof of {proof.name!r} has no times; expected irradiance and critical_dose: prove "
                            "the frames with both")  # fmt: skip
         verdict, times = proof.verdict, proof.exposure
-        least, most = verdict.latitude if verdict.prints else (1.0 - WITHIN, 1.0 + WITHIN)
+        least, most = verdict.latitude if verdict.prints else (1.0, 1.0)
         faults = "; ".join(fault.said for fault in verdict.faults)
-        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints, faults)
+        least, most = min(least, 1.0 - WITHIN), max(most, 1.0 + WITHIN)
+        lamp = times.lamp or times.irradiance
+        seconds = times.seconds * times.irradiance / lamp
+        return cls(seconds, lamp, proof.frames.scale, least, most, verdict.prints, faults)
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,10 @@ class GivenDose:
         """The dose in a run's folder, as `plain` wrote it; None if it has none. Raises `StorageError`."""
         if kept is None:
             return None
-        try:
+        with malformed("the dose in the record of the run is malformed", "its folder was changed"):
             found = cls(**{**kept, "proved": ProvedDose(**kept["proved"])})
             positive("dose", found.share)
             positive("exposure", found.proved.seconds)
-        except (KeyError, TypeError, BadInput) as error:
-            raise StorageError(
-                f"the dose in the record of the run is malformed: {error}; its folder was changed"
-            ) from error
         return found
 
     def plain(self) -> dict[str, Any]:
@@ -88,21 +85,21 @@ class GivenDose:
         return self.share >= self.proved.least
 
     def __str__(self) -> str:
-        return f"×{self.share:.3f} of the proved one: {self.verdict}"
+        return f"{self.share:.3f} times the proved dose: {self.verdict}"
 
     @property
     def verdict(self) -> str:
         """The effect of the dose on the verdict of the proof."""
-        low, high = f"×{self.proved.least:.3f}", f"×{self.proved.most:.3f}"
+        low, high = f"{self.proved.least:.3f}", f"{self.proved.most:.3f}"
         if not self.proved.right:
             if self.keeps:
-                return "the proof does not print, and neither does this dose"
-            return "the proof does not print, and this dose differs from the proved one"
+                return "the part does not print at this dose"
+            return "the part does not print even at the proved dose"
         if self.keeps:
             return f"within {low} to {high}, where everything two pixels or more from the surface prints correctly"
         if self.share < self.proved.least:
-            return f"below {low}: some of the part stays liquid"
-        return f"above {high}: resin beside the part solidifies"
+            return f"below {low}, so that some of the part stays liquid"
+        return f"above {high}, so that resin beside the part solidifies"
 
     def lines(self) -> tuple[Line, ...]:
         """Turns, seconds and dose for reports."""
@@ -121,4 +118,4 @@ class GivenDose:
         """The dimming of the light, and the dose without it."""
         share = f"{100 * self.lit:.1f} %"
         what = f"the lamp has {share} of its drive" if self.drive else f"frames are lit for {share} of their time"
-        return f"{what}; otherwise {counted(self.turns, 'turn')} would give {self.share / self.lit:.3f} of the dose"
+        return f"{what}; otherwise {counted(self.turns, 'turn')} would give {self.share / self.lit:.3f} times the dose"

@@ -10,6 +10,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema.quantities import numeric
 from vamgpu.storage.reading import load_toml
 
 TOP = 255
@@ -32,16 +33,15 @@ class GrayCurve:
     intensity: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        levels, light = _numbers("levels", self.levels), _numbers("intensity", self.intensity)
+        levels, light = numeric("levels", self.levels), numeric("intensity", self.intensity)
         if len(levels) != len(light) or len(levels) < 2:
             raise BadInput(
                 f"a gray curve has {len(levels)} levels and {len(light)} intensities; "
                 "expected one intensity per level, at least two"
             )
         if (levels != np.round(levels)).any() or (np.diff(levels) <= 0).any() or (levels[0], levels[-1]) != (0, TOP):
-            raise BadInput(
-                f"gray levels are {_short(levels)}; expected whole numbers rising from 0 to {TOP}: measure both ends"
-            )
+            got = np.array2string(levels, threshold=8, edgeitems=3, separator=", ").replace("\n", "")
+            raise BadInput(f"gray levels are {got}; expected whole numbers rising from 0 to {TOP}: measure both ends")
         fall = np.flatnonzero(np.diff(light) < 0)
         if fall.size:
             at = int(fall[0])
@@ -108,7 +108,7 @@ class GrayCurve:
             BadInput: The file holds no valid curve.
         """
         file = Path(path)
-        table = load_toml(file, "the projector file").get("gray")
+        table = load_toml(file, "the file of a gray curve").get("gray")
         if not isinstance(table, dict):
             raise BadInput(f"{file.name} has no table [gray]; expected [gray], levels = [...] and intensity = [...]")
         try:
@@ -178,18 +178,3 @@ class GrayCurve:
         if bits not in (1, 8):
             raise BadInput(f"bits is {bits!r}; expected 1 or 8")
         return self(np.array([0, TOP]) if bits == 1 else np.arange(TOP + 1))
-
-
-def _numbers(name: str, values: Any) -> np.ndarray:
-    """A row of finite float64 numbers, else `BadInput`."""
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{name} is {values!r}; expected a list of numbers") from error
-    if array.ndim != 1 or not np.isfinite(array).all():
-        raise BadInput(f"{name} is {_short(array)}; expected a plain list of finite numbers")
-    return array
-
-
-def _short(values: np.ndarray) -> str:
-    return np.array2string(values, threshold=8, edgeitems=3, separator=", ").replace("\n", "")

@@ -3,7 +3,8 @@
 Its voxels are fine enough to resolve the light of a column: at most half as wide as the part's, one centered on the
 axis, and reaching out to the inner wall. Their light comes from traced rays, several of which may meet at one point
 where caustics fold them. It turns over the arc of its frame while the frame is lit. Resin above and below the grid is
-exposed on the part's voxels, as far as light reaches. Of the solver's operator only the geometry is used.
+exposed on the part's voxels, as far as light reaches. Only the geometry of the solver's operator is used. Frames that
+follow a part, or miss it, are exposed where they fall, in steps of half a pixel between which it is interpolated.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.geometry import Beam, Grid, Turntable, Vessel, centers, positive
+from vamgpu.geometry import Beam, Grid, Turntable, Vessel, centers, positive, resin_radius
 from vamgpu.kernels.proof import average_voxels, expose_voxels, spans, spread_columns, spread_rows
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import IN, Parts
+from vamgpu.operators.compose import combine
+from vamgpu.operators.follow import Followed, followed
 from vamgpu.operators.projection import Projection
-from vamgpu.optics.traced_pose import TracedPose, trace_pose
-from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
+from vamgpu.operators.shifts import Shift
+from vamgpu.optics.traced_pose import trace_pose
+from vamgpu.optics.traced_rays import Rays, traced_rays
 from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
 from vamgpu.printing.spread import TAIL, column_shares, row_shares, spread_of
 
@@ -40,12 +44,14 @@ AGREED = 1e-3
 TRIES = 4
 """Greatest number of refinements: without a point spread, light has edges that no voxel resolves."""
 HARDEST = 4
-"""Number of slices to compare: the brightest one in each of as many equal parts of the height."""
+"""Number of slices to compare: the brightest one in each equal part of the height."""
 BEND = 0.02
 """Column widths by which a path may bend at the corners of the grid and still count as straight while a frame is lit:
 the dose is then right to 1e-3 of the greatest."""
 EDGE = 3
 """Fine voxels beyond a grid's corner that the means over its voxels may need."""
+STEPS = 2
+"""Steps of a pixel at which the light of a part that travels is exposed; each takes as long as that of one at rest."""
 LANES = 64
 """Tables are padded to a multiple of this number of slices: no device has wider vectors."""
 SAMPLES = 128, 256
@@ -83,25 +89,25 @@ class IndependentExposure:
     device: Device
     # fine voxels along an edge of a part voxel, at least 2; a part voxel is their mean. By default, enough for
     # `A_PIXEL` of them across the narrowest column in the resin. See `agreed`
-    finer: int
     pitch: float
     # bytes that the arrays of some slices may take. At least the slices that the device keeps together (at most 64) are
     # exposed at a time
-    memory: int
     agrees: float | None
     """Change of the dose on the next finer voxels, relative to the greatest dose; None before `agreed`."""
 
     def __init__(self, A: Projection, memory: int = MEMORY, finer: int | None = None, motion: Any = None) -> None:
         self.grid, self.beam, self.vessel, self.device = A.grid, A.beam, A.vessel, A.device
         self.motion = A.motion if motion is None else motion
-        self.memory = memory
+        self.memory: int = memory
         self.corner: float = corner_of(A.grid)
         wall = resin_radius(A.vessel)
         self.radius: float = self.corner if wall == inf else wall
         self._spread = spread_of(A.beam)
-        self.finer = finer or max(2, ceil(A_PIXEL * A.grid.pitch / self.column))
+        self.finer: int = finer or max(2, ceil(A_PIXEL * A.grid.pitch / self.column))
         self.pitch, self.agrees = A.grid.pitch / self.finer, None
         self._discs: dict[tuple[float, float], _Disc] = {}
+        self._bins: dict[int, dict[str, DeviceArray]] = {}
+        self._path: Followed | None = followed(A.motion, A.beam)
 
     def agreed(self, light: DeviceArray) -> IndependentExposure:
         """The same on voxels so fine that finer ones change the dose of a given light by at most `AGREED`."""
@@ -109,20 +115,15 @@ class IndependentExposure:
         z, lit, judge = self._hardest(light), self.grid.cylinder(), self
         dose = judge._at(light, z)
         for finer in range(self.finer + 1, self.finer + TRIES + 1):
-            following = judge._refined(finer)
+            following = copy(judge)
+            following.finer, following.pitch, following._discs = finer, self.grid.pitch / finer, {}
+            following.__dict__.pop("_near", None)
             found = following._at(light, z)
             judge.agrees = float(np.abs(found - dose)[lit].max() / (found[lit].max() or 1.0))
             if judge.agrees <= AGREED or finer == self.finer + TRIES:
                 break
             judge, dose = following, found
         return judge
-
-    def _refined(self, finer: int) -> IndependentExposure:
-        """The same on voxels of another width."""
-        other = copy(self)
-        other.finer, other.pitch, other._discs = finer, self.grid.pitch / finer, {}
-        other.__dict__.pop("_near", None)
-        return other
 
     def _hardest(self, light: DeviceArray) -> np.ndarray:
         """Slices [mm] of the grid in which dose is compared."""
@@ -136,7 +137,6 @@ class IndependentExposure:
         disc = self._disc(self.pitch, self.grid.inscribed_radius + 2.0 * self.grid.pitch)
         return self._averaged(disc, self._expose(disc, light, z, self.grid.pitch), self.grid).numpy()
 
-    # ---- doses ------------------------------------------------------------------------------------------------------
     def fine(self, light: DeviceArray, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
         """The dose of light on voxels that are at most half as wide as the part's and as a column in the resin."""
         # Slabs are in order, from the lowest z. A beam of a single row represents a print that is the same at every
@@ -182,11 +182,12 @@ class IndependentExposure:
 
     def onto(self, light: DeviceArray, dose: DeviceArray) -> Iterator[tuple[slice, DeviceArray]]:
         """The dose only on the part's own voxels, slab by slab."""
-        # light [angle, r, z]; dose [x, y, z]
-        disc, pitch = self._near, self.grid.pitch
-        for part in self._slabs(disc, self.grid.shape[2]):
-            z = self.grid.axes()[2][0] + np.arange(part.start, part.stop) * pitch
-            fine = self._expose(disc, light, z, pitch)
+        # light [angle, r, z]; dose [x, y, z], whose slices divide the height of the grid
+        disc, slices = self._near, dose.shape[2]
+        height = self.grid.pitch * self.grid.shape[2] / slices
+        for part in self._slabs(disc, slices):
+            z = centers(slices, height)[0] + np.arange(part.start, part.stop) * height
+            fine = self._expose(disc, light, z, height)
             self._average(disc, fine, dose, part.start)
             yield part, fine
 
@@ -234,7 +235,9 @@ class IndependentExposure:
         lit = np.flatnonzero(extremes(Parts.whole(light), per_slice=True).greatest[:, IN] > 0)
         if self.beam.flat or not lit.size:
             return np.zeros(0)
-        edges = lit[[0, -1]] + [0, 1] - 0.5 * self.beam.pixels[1] + TAIL * self._spread.row * np.array([-1, 1])
+        left = np.zeros(1) if self._path is None else self._path.left[..., 1]
+        tails = TAIL * self._spread.row * np.array([-1, 1]) + [left.min(), left.max()]
+        edges = lit[[0, -1]] + [0, 1] - 0.5 * self.beam.pixels[1] + tails
         low, high = edges * self.beam.pitch / self.grid.pitch + 0.5 * self.grid.shape[2]
         k = np.arange(floor(low + 1e-9), ceil(high - 1e-9))
         return self.grid.axes()[2][0] + k[(k < 0) | (k >= self.grid.shape[2])] * self.grid.pitch
@@ -248,7 +251,6 @@ class IndependentExposure:
             outer = greatest(dose, (disc.axis, disc.axis, z[part]), width, outer)
         return outer
 
-    # ---- tables -----------------------------------------------------------------------------------------------------
     @cached_property
     def _rays(self) -> Rays:
         reach = self._spread.reach(self.beam)
@@ -258,12 +260,17 @@ class IndependentExposure:
     @cached_property
     def _tables(self) -> dict[str, Any]:
         """Shares of a column's light in bins, and the angles."""
-        columns = column_shares(self._spread, self.beam, self._rays)
-        return {
-            "first": self.device.table(columns.first, "int32"),
-            "shares": self.device.table(columns.shares),
-            "poses": self.device.table(self._arcs),
-        }
+        return {**self._columns(0), "poses": self.device.table(self._arcs)}
+
+    def _columns(self, off: int) -> dict[str, DeviceArray]:
+        """First column and shares of every bin, for light moved by ``off`` bins."""
+        if off not in self._bins:
+            columns = column_shares(self._spread, self.beam, self._rays)
+            own = np.arange(len(columns.first)) - off
+            inside, own = (own >= 0) & (own < own.size), np.clip(own, 0, own.size - 1)
+            shares = self.device.table(columns.shares[own] * inside[:, None])
+            self._bins[off] = {"first": self.device.table(columns.first[own], "int32"), "shares": shares}
+        return self._bins[off]
 
     @property
     def _arcs(self) -> np.ndarray:
@@ -284,22 +291,18 @@ class IndependentExposure:
             samples = min(max(round(self.radius / self.grid.pitch), SAMPLES[0]), SAMPLES[1])
             spacing = half * width / STRAIGHT if self.vessel is None else self.radius / samples
             traced = trace_pose(self._rays, width, half * width, spacing)
-            table = self.device.table(self._in_bins(traced, width))
+            table, bins, beam = traced.table.copy(), self._spread.bins, self.beam
+            table[..., :2] = (table[..., :2] / beam.pitch + 0.5 * beam.pixels[0] + self._spread.beyond) * bins
+            # its share, scaled as in Aᵀ: uniform light of 1 gives voxel volume / pixel area
+            table[..., 2] *= self.grid.voxel_volume / beam.pixel_area * beam.pitch / (bins * width)
             scale, single = width / traced.spacing, traced.single / width
-            self._discs[width, radius] = _Disc(width, half, radius, {"pose": table, "scale": scale, "single": single})
+            self._discs[width, radius] = _Disc(
+                width, half, radius, {"pose": self.device.table(table), "scale": scale, "single": single}
+            )
         return self._discs[width, radius]
 
-    def _in_bins(self, traced: TracedPose, width: float) -> np.ndarray:
-        """A voxel's bins, and its share, scaled as in Aᵀ: uniform light of 1 gives voxel volume / pixel area."""
-        bins, beam = self._spread.bins, self.beam
-        table = traced.table.copy()
-        table[..., :2] = (table[..., :2] / beam.pitch + 0.5 * beam.pixels[0] + self._spread.beyond) * bins
-        table[..., 2] *= self.grid.voxel_volume / beam.pixel_area * beam.pitch / (bins * width)
-        return table
-
-    # ---- slabs ------------------------------------------------------------------------------------------------------
     def _slabs(self, disc: _Disc, slices: int) -> Iterator[slice]:
-        """Parts of the slices, of equal number, whose arrays fit the memory and whose layout is that of the whole."""
+        """Equal parts of the slices, with arrays that fit the memory, in the layout of the whole."""
         # The last part may extend beyond the slices.
         each = self.motion.angles * (self.beam.pixels[0] + self._tables["first"].shape[0]) + 2 * disc.axis.size**2
         each *= self.device.real.itemsize
@@ -312,13 +315,27 @@ class IndependentExposure:
 
     def _expose(self, disc: _Disc, light: DeviceArray, z: np.ndarray, height: float) -> DeviceArray:
         """Dose [x, y, z] of a disc's voxels at given z, averaged over ``height`` about each z."""
+        if self._path is None:
+            return self._at_rest(disc, light, z, height, 0)
+        still = Shift(self.device, np.zeros((light.shape[0], 2)), self.beam.pixels, self.beam.pixels)
+        part, found = self.device.empty(light.shape), None
+        for (bins, row), shares in self._path.in_steps(self._spread.bins, STEPS):
+            shares = np.resize(shares * self._path.repeats / len(self._path.whole), (light.shape[0], shares.shape[1]))
+            still.there(light, self.device.table(shares * np.ones((1, light.shape[2]))), part)
+            dose = self._at_rest(disc, part, z - row / STEPS * self.beam.pitch, height, bins)
+            found = dose if found is None else combine(1.0, found, 1.0, dose, found)
+        assert found is not None
+        return found
+
+    def _at_rest(self, disc: _Disc, light: DeviceArray, z: np.ndarray, height: float, off: int) -> DeviceArray:
+        """`_expose` for a part at rest, whose light is moved by ``off`` bins across."""
         tables, device, (angles, columns, _) = self._tables, self.device, light.shape
         rows = row_shares(self._spread, self.beam, z, height, LANES)
         spread = device.empty((angles, columns, z.size))
         shares = {"shares": device.table(rows.shares), "span": device.table(rows.span, "int32")}
         device.launch(spread_rows, light=light, **shares, lanes=light, spread=spread)
         profile = device.empty((angles, tables["first"].shape[0], z.size))
-        device.launch(spread_columns, spread=spread, first=tables["first"], shares=tables["shares"], profile=profile)
+        device.launch(spread_columns, spread=spread, **self._columns(off), profile=profile)
         dose = device.empty((disc.axis.size, disc.axis.size, z.size))
         pose = {"poses": tables["poses"], **disc.pose, "radius": float(disc.half)}
         device.launch(expose_voxels, profile=profile, **pose, dose=dose)
@@ -353,7 +370,6 @@ class IndependentExposure:
             matrix[np.flatnonzero(inside), at[inside]] = weight
         return matrix
 
-    # ---- beyond the judged cylinder ---------------------------------------------------------------------------------
     @cached_property
     def _around(self) -> Grid:
         """The part's grid, extended by whole voxels to the wall."""

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from math import ceil, prod
+from math import ceil, isfinite, prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vamgpu.backend.cores import ahead
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import ahead, pool
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.geometry import centers
+from vamgpu.kernels.depth import NO_DEPTH
 from vamgpu.metrics.depth import LARGEST_REACH
 from vamgpu.metrics.interpolation import interpolated
 from vamgpu.metrics.line import Line, length
+from vamgpu.metrics.nearest_points import nearest
 from vamgpu.metrics.surface_judgement import SurfaceJudgement, judge_surface
 from vamgpu.metrics.tolerance import (
     WIDEST,
@@ -49,13 +53,9 @@ class Judgement:
     over_tolerance: ToleranceWindow  # W up to two voxels or pixels, on voxels half as wide or less
     surface: SurfaceJudgement  # comparison of the print's surface with the mesh
     pixel: float  # width of the narrowest column in the resin [mm]; a voxel of the part if there are no rays
+    deep: float  # distance from the surface beyond which wrong resin is a fault [mm]: two pixels
     off: Callable[[], ToleranceTable] = field(repr=False)  # computes the table of errors
     not_judged: tuple[str, ...] = ()  # what was not judged, one sentence each
-
-    @property
-    def deep(self) -> float:
-        """Distance from the surface beyond which wrong resin is a fault [mm]: two pixels."""
-        return min(DEEP * self.pixel, float(self.over_tolerance.distance[-1]))
 
     @cached_property
     def table(self) -> ToleranceTable:
@@ -68,8 +68,8 @@ class Judgement:
         for number, name in ((0.5, "½ pixel"), (1.0, "1 pixel"), (2.0, "2 pixels")):
             if number * self.pixel <= known:
                 value = self.over_tolerance.at(number * self.pixel)
-                where = f"of what lies at least {length(number * self.pixel)} from the surface, below the voxel"
-                found.append(Line(f"process window, {name}", f"{value:+.4f}", where))
+                where = f"over all points at least {length(number * self.pixel)} from the surface, finer than a voxel"
+                found.append(Line(f"process window, {name}", f"{value:+.4f}" if isfinite(value) else "–", where))
         return (*found, *self.surface.lines())
 
 
@@ -85,15 +85,17 @@ def judged(proof: Proof) -> Judgement:
         pixel, finer = exposure.column, exposure.halves if proof.independent else 1
     if proof.independent:
         voxels *= finer**3
-        slabs = (replace(slab, dose=slab.dose.numpy()) for slab in proof.fine(radius, DEEP * pixel))  # type: ignore[arg-type]
-        slabs = list(slabs) if voxels <= WHOLE else slabs
+        slabs = proof.fine(radius, DEEP * pixel)
     reach = max(WIDEST * A.grid.pitch, min(DEEP * pixel, (LARGEST_REACH - 3.0) * A.grid.pitch / finer))
     depth = _depth(proof, finer, reach)
     if proof.limits is not None:
-        asked = map(partial(_asked, proof), slabs)
-        slabs, depth = list(asked) if isinstance(slabs, list) else asked, _where_asked(proof, depth)
-    found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius, reach=reach)
-    fine = slabs if proof.independent and isinstance(slabs, list) else None
+        slabs, depth = map(partial(_asked, proof), slabs), _where_asked(proof, depth)
+    fine: list[Any] | None = [] if proof.independent and voxels <= WHOLE else None
+    slabs = slabs if fine is None else _kept(slabs, fine)
+    with pool(1) as beside:  # the surface's search over the mesh needs no device
+        if proof.joined is not None:
+            beside.submit(nearest, proof.joined, 0.5 * A.grid.pitch)
+        found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius, reach=reach)
 
     def off() -> ToleranceTable:
         light = proof.frames.irradiance(A.device)
@@ -101,22 +103,26 @@ def judged(proof: Proof) -> Judgement:
                                deep=DEEP * pixel)  # fmt: skip
 
     half_pixels = voxels if proof.independent else int(voxels * max(2.0 * A.grid.pitch / pixel, 1.0) ** 3)
-    missed = (f"the surface between the part's own voxels, because {half_pixels:,} finer ones exceed the {WHOLE:,} "
-              "that fit at a time",) * (fine is None and half_pixels > WHOLE)  # fmt: skip
-    return Judgement(found, _surface(proof, fine, pixel), pixel, off, missed)
+    missed = [f"the surface at a finer scale than the part's voxels, because that takes {half_pixels:,} voxels and "
+              f"only {WHOLE:,} fit at once"] * (fine is None and half_pixels > WHOLE)  # fmt: skip
+    if isinstance(A, OxygenModel):
+        missed.append("how oxygen diffuses at another exposure: latitudes scale the effective dose")
+    deep = min(DEEP * pixel, float(found.distance[-1]))
+    least, greatest = found.limits(deep)
+    return Judgement(found, _surface(proof, fine, pixel, (greatest, least)), pixel, deep, off, tuple(missed))
 
 
 def _depth(proof: Proof, finer: int, reach: float) -> Depth:
     """Depths in the mesh, if there is one, sampled on voxels ``finer`` times as fine as the part's."""
     grid = proof.operator.grid
     if proof.joined is None or not 1 < finer <= FINEST or proof.operator.beam.flat:
-        return depth_of_fractions(proof.target.numpy(), grid, proof.operator.beam.flat, reach)
+        return depth_of_fractions(proof.target.numpy(), grid, proof.operator.beam.flat, reach, proof.operator.device)
     solid = proof.joined
     part = Target(grid, proof.name, proof.target, solid.radius, solid.volume, solid.height, solid)
-    return depth_of_target(part, grid.pitch / finer, grid.pitch, reach)
+    return depth_of_target(part, grid.pitch / finer, grid.pitch, reach, proof.operator.device)
 
 
-def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudgement:
+def _surface(proof: Proof, slabs: list[Any] | None, pixel: float, between: tuple[float, float]) -> SurfaceJudgement:
     grid = proof.operator.grid
     if slabs is None:
         dose, pitch = refined(proof.parts.dose.numpy(), grid.pitch, 0.5 * pixel)
@@ -125,7 +131,8 @@ def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudg
         dose = _joined([slab.dose for slab in slabs])
         place, pitch = [slabs[0].x[0], slabs[0].y[0], slabs[0].z[0]], slabs[0].pitch
     at, thin = proof.scores.threshold, proof.unjudged
-    return judge_surface(dose, place, pitch, at, proof.target, grid, proof.joined, thin=thin)
+    return judge_surface(dose, place, pitch, at, proof.target, grid, proof.joined, thin=thin,
+                         widest=2.0 * DEEP * pixel, between=between)  # fmt: skip
 
 
 def _joined(slabs: list[np.ndarray]) -> np.ndarray:
@@ -151,16 +158,23 @@ def _asked(proof: Proof, slab: FineSlab) -> FineSlab:
     """A slab with its dose relative to the limits of the part's voxels."""
     assert proof.limits is not None
     scale = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
-    return replace(slab, dose=np.asarray(slab.dose) * scale(slab.x, slab.y, slab.z))
+    return replace(slab, dose=proof.operator.device.upload(slab.dose.numpy() * scale(slab.x, slab.y, slab.z)))
+
+
+def _kept(slabs: Iterable[FineSlab], kept: list[Any]) -> Iterator[FineSlab]:
+    """The slabs, each of which is also copied to the host."""
+    for slab in slabs:
+        yield slab
+        kept.append(replace(slab, dose=slab.dose.numpy()))  # type: ignore[arg-type]
 
 
 def _where_asked(proof: Proof, depth: Depth) -> Depth:
-    """A depth, set to NaN at points without limits."""
+    """A depth, set to `NO_DEPTH` at points without limits."""
     assert proof.limits is not None
     judged = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
 
-    def asked(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Callable[[], np.ndarray]:
+    def asked(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> DeviceArray:
         found = depth(x, y, z)
-        return lambda: np.where(judged(x, y, z) > 0.0, found(), np.nan)
+        return found.device.upload(np.where(judged(x, y, z) > 0.0, found.numpy(), NO_DEPTH))
 
     return asked

@@ -27,10 +27,10 @@ DARK = (5.0, 10.0)
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and what its operator has to know."""
+    """A machine: size, rate and stage speed [rpm] of its films, function that writes them, notes for users."""
 
-    # dark: default seconds before and after the turns; None if its files hold one turn of light alone. write: also says
-    # what the levels are.
+    # dark: default seconds before and after the turns; None if its files hold one turn of light alone. write: also
+    # describes the levels.
 
     size: tuple[int, int]
     fastest: float
@@ -61,7 +61,7 @@ def export_for(
     machine: str, frames: Frames, folder: str | Path, name: str, *, rpm: float, canvas: Canvas = Canvas(),
     dark: tuple[float, float] | None = None, channel: str | None = None, overwrite: bool = False,
 ) -> tuple[Path, Path]:  # fmt: skip
-    """Write frames of even angles as the files of one of `MACHINES`, and a card beside them; returns both paths.
+    """Write frames of evenly spaced angles as the files of one of `MACHINES`, and a card; returns both paths.
 
     name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
     seconds without light before the first turn of a film and after the last, by default 5 and 10, made whole turns: a
@@ -79,8 +79,8 @@ def export_for(
     if kind.dark is None and (before or after):
         raise BadInput(f"dark is {dark}; expected none: the files for {machine} hold one turn, without dark images")
     if kind.dark is not None and not after:
-        raise BadInput(f"dark is {dark}; expected seconds above 0 after the last turn: a film that ends lit goes on "
-                       "curing at its last angle, or starts again")  # fmt: skip
+        raise BadInput(f"dark is {dark}; expected seconds above 0 after the last turn: a film that ends lit "
+                       "continues to cure at its last angle, or starts again")  # fmt: skip
     lit = replace(canvas, size=canvas.size or kind.size, dark=(before * frames.shape[0], after * frames.shape[0]))
     film = Film(frames, name, rpm, lit, channel, overwrite)
     most = min(kind.speed, 60.0 * kind.fastest / frames.shape[0])
@@ -97,7 +97,7 @@ def export_for(
 
 
 def _card(film: Film, machine: str, made: Path, levels: str) -> str:
-    """What to set at the machine."""
+    """Settings of the machine, and notes for its operator."""
     n, canvas, turn = film.frames.shape[0], film.canvas, 60.0 / film.rpm
     before, after = (each // n for each in canvas.dark)
     light, seconds = f"{counted(canvas.repeats, 'turn')} of {counted(n, 'frame')}", f"{canvas.repeats * turn:.6g} s"
@@ -130,25 +130,35 @@ def _opencal(film: Film, folder: Path) -> tuple[Path, str]:
     return _film(film, folder / f"{film.name}_{int(film.rpm)}rpm.mp4")
 
 
-def _rotary(film: Film, folder: Path) -> tuple[Path, str]:
-    return _film(film, folder / f"{film.name}.mp4")
-
-
 def _tvam_code(film: Film, folder: Path) -> tuple[Path, str]:
-    """Linear levels ``patterns`` [angle, r, z] of one turn: its stage starts and ends the light."""
+    place, (levels, said) = folder / f"{film.name}-tvam.npz", _linear(film)
+    with replacing(place, overwrite=film.overwrite) as draft, draft.open("wb") as file:
+        np.savez_compressed(file, patterns=levels)
+    return place, said
+
+
+def _tvam_images(film: Film, folder: Path) -> tuple[Path, str]:
+    """TVAM-code reads every file of a folder as an image."""
+    place, (levels, said) = folder / f"{film.name}-tvam", _linear(film)
+    with replacing(place, overwrite=film.overwrite) as draft:
+        draft.mkdir()
+        for number, image in enumerate(levels):
+            (draft / f"{number:04d}.png").write_bytes(encode_png(image))
+    return place, said
+
+
+def _linear(film: Film) -> tuple[np.ndarray, str]:
+    """Linear levels [angle, r, z] of one turn, none dark, and what they are: TVAM-code switches the light itself."""
     gray = film.frames.gray
     light = [gray(image.T) - gray.black for image in replace(film.canvas, repeats=1).images(film.frames)]
     most = max(float(each.max()) for each in light)
     if most <= 0.0:
         raise BadInput("every frame is dark; expected some light")
     levels = np.stack([np.rint(each * (255.0 / most)).astype(np.uint8) for each in light])
-    place = folder / f"{film.name}-tvam.npz"
-    with replacing(place, overwrite=film.overwrite) as draft, draft.open("wb") as file:
-        np.savez_compressed(file, patterns=levels)
     share = most / (1.0 - gray.black)
-    return place, (
-        f"linear in light; the brightest pixel, {share:.4g} of full light, is made 255: {1.0 / share:.4g} times "
-        f"the dose,\n            unless you dim the projector to {share:.4g} or make {share:.4g} of the turns"
+    return levels, (
+        f"linear in light; 255 is the brightest pixel, which has {share:.4g} of full light: {1.0 / share:.4g} times "
+        f"the dose,\n            unless you dim the projector to {share:.4g}, or make {share:.4g} of the turns"
     )
 
 
@@ -167,16 +177,18 @@ def _lightcrafter(film: Film, folder: Path) -> tuple[Path, str]:
     return place, f"gray curve: {film.frames.gray}"
 
 
+_TVAM_CODE = Machine((768, 1024), 290.0, 20.0, None, _tvam_code, (
+    "python tvam_code.py -p {name} -v {speed:g} -n {turns}",
+    "The stage's steps per turn must be a multiple of twice the number of images; the light starts after one turn.",
+))  # fmt: skip
 MACHINES = {
     "opencal": Machine((1920, 1080), HDMI, 60.0, DARK, _opencal, (
         "OpenCAL takes the speed from the name, turns counterclockwise and plays the film again and again:",
         "stop the print in the dark after the last turn.",
     )),
-    "tvam-code": Machine((768, 1024), 290.0, 20.0, None, _tvam_code, (
-        "python tvam_code.py -p {name} -v {speed:g} -n {turns}",
-        "Two times the number of images must divide the steps of a turn of the stage; the light starts after one turn.",
-    )),
-    "rotary": Machine((1920, 1080), HDMI, 600.0, DARK, _rotary, (
+    "tvam-code": _TVAM_CODE,
+    "tvam-code-images": replace(_TVAM_CODE, write=_tvam_images),
+    "rotary": Machine((1920, 1080), HDMI, 600.0, DARK, lambda film, folder: _film(film, folder / f"{film.name}.mp4"), (
         "Start the turntable before the film; the film ends in the dark.",
     )),
     "lightcrafter": Machine((912, 1140), 120.0, 600.0, None, _lightcrafter, (
@@ -184,4 +196,4 @@ MACHINES = {
         "Switch the light off after the last turn.",
     )),
 }  # fmt: skip
-"""Name → machine, from what is public of each."""
+"""Name → machine, by its published data."""

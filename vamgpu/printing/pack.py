@@ -114,7 +114,7 @@ def pack(
     """
     if isinstance(bits, bool) or bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; expected 1 or 8")
-    known = light is not None or isinstance(plan, Plan)  # what the dose of all the light is
+    known = light is not None or isinstance(plan, Plan)  # whether the dose of all the light is known
     plan = _patterns(plan, light, target)
     light = _light(plan)
     rounds = rounds_of(plan) if dither is None and bits == 8 else MOST_ROUNDS
@@ -124,7 +124,8 @@ def pack(
     curve = GrayCurve.linear() if gray is None else gray
     if not isinstance(curve, GrayCurve):
         raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
-    motion = _turntable(plan)
+    motion = getattr(getattr(plan, "operator", None), "motion", None)
+    motion = motion if isinstance(motion, Turntable) else None
     check_dither(dither, getattr(plan, "operator", None), getattr(plan, "target", None), bits, settings.shift)
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
@@ -158,12 +159,6 @@ def _full(full: float) -> float:
     return full
 
 
-def _turntable(plan: Patterns) -> Turntable | None:
-    """The turntable of a plan; None for other motions."""
-    motion = getattr(getattr(plan, "operator", None), "motion", None)
-    return motion if isinstance(motion, Turntable) else None
-
-
 def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: dict[str, Any]) -> DeviceArray:
     """Levels of light, rounded to the nearest of ``steps``, on the light's device."""
     device, (angles, columns, rows) = shared["sinogram"].device, shared["sinogram"].shape
@@ -171,7 +166,11 @@ def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: 
     images = device.empty((angles, rows, columns), np.uint8, table=True)
     tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
     device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
-    return _folded(images) if bits == 1 else images
+    if bits == 8:
+        return images
+    folded = device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
+    device.launch(fold_bits, images=images, folded=folded)
+    return folded
 
 
 def _packing(bits: int, gray: GrayCurve, flat: np.ndarray | None, place: Placement) -> Callable[..., Frames]:
@@ -278,20 +277,15 @@ def repack(
 
 def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndarray:
     """Light [angle, r, z] whose rows are moved along r by columns [angle, row] of frames, with linear interpolation."""
+    from scipy.ndimage import map_coordinates  # takes longer to load than all of vamgpu
+
     angles, columns, rows = light.shape
     if moves.shape != (angles, rows) or not np.isfinite(moves).all():
         raise BadInput(f"moves has shape {moves.shape}; expected finite columns [frame, row] of {(angles, rows)}")
     along = (moves if settings.flip_z else moves[:, ::-1]) * (-1.0 if settings.flip_r else 1.0)
-    whole = np.floor(along).astype(int)
-    part = (along - whole).astype(light.dtype)
-    padded = np.zeros((columns + 2, rows), light.dtype)
-    moved = np.empty_like(light)
-    for angle in range(angles):
-        padded[1:-1] = light[angle]
-        source = np.arange(columns)[:, None] - whole[angle] + 1
-        near, far = (np.take_along_axis(padded, np.clip(source - back, 0, columns + 1), axis=0) for back in (0, 1))
-        moved[angle] = near + part[angle] * (far - near)
-    return moved
+    column, row = np.mgrid[:columns, :rows].astype(float)
+    places = ((image, (column - far, row)) for image, far in zip(light, along, strict=True))
+    return np.stack([map_coordinates(image, at, order=1, mode="grid-constant") for image, at in places])
 
 
 def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
@@ -315,14 +309,6 @@ def _miss(plan: Patterns, frames: Frames) -> float:
     planned, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
     lengths = dot(planned, planned) * dot(shown, shown)
     return sqrt(max(0.0, 1.0 - dot(planned, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
-
-
-def _folded(images: DeviceArray) -> DeviceArray:
-    """Frames of 0 and 1, eight columns per byte."""
-    angles, rows, columns = images.shape
-    folded = images.device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
-    images.device.launch(fold_bits, images=images, folded=folded)
-    return folded
 
 
 def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
@@ -354,7 +340,7 @@ def _light(plan: Patterns) -> DeviceArray:
 
 
 def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
-    """Light of one pixel by its rank, exact to the last bit but one of a float32."""
+    """Light of the pixel of a rank, exact except for the last bit of a float32."""
     device, prefix, left = shared["sinogram"].device, 0, 0
     for drop in ROUNDS:
         counter = device.table(np.zeros(BINS), "int32")

@@ -17,13 +17,13 @@ EDGE = 192
 """Greatest edge of a slice in the viewer [px]."""
 
 GAMMA = 2.2
-"""Patterns are shown to the power of its inverse, because their mean is only a fortieth of their peak."""
+"""Patterns are shown to the power 1 / `GAMMA`, because their mean is only a fortieth of their peak."""
 
 HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
 """Verdicts on a voxel; 0 is a voxel that is correctly unprinted."""
 
 _VERDICTS = np.array([0, EXCESS, MISSING, HIT], np.uint8)
-"""By twice whether a voxel is in the part, and whether it prints."""
+"""Verdicts: outside, outside and printed, in the part but not printed, in the part and printed."""
 
 COLORS = np.array([[246, 247, 249], [176, 190, 208], [214, 58, 73], [240, 150, 32], [255, 255, 255]], np.uint8)
 """Color of each verdict."""

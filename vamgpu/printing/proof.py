@@ -13,6 +13,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.card import card, drawable
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.methods.part import idle_light, lit_pixels
@@ -35,7 +36,7 @@ from vamgpu.printing.verdict import Verdict, verdict_of
 
 if TYPE_CHECKING:
     from vamgpu.methods import Bound
-    from vamgpu.methods.tolerances import CornerDoses
+    from vamgpu.methods.tolerances import Corner, CornerDoses
     from vamgpu.printing.given_dose import GivenDose
     from vamgpu.printing.planes import PlaneDose
     from vamgpu.targets.limits import Limits
@@ -72,6 +73,7 @@ class Proof:
         corners: doses of the frames at every corner of tolerances; None if not computed.
         planes: dose of the bit planes, each at the angles at which a rig shows it; None if not computed.
         given: the dose that a run gave, relative to the proved one; None for a proof of frames.
+        off: errors of the machine that exposed the frames; None for the machine of the job.
         history: records of the run that found the patterns, as in `Plan`; empty if none were recorded.
     """
 
@@ -96,6 +98,7 @@ class Proof:
     corners: CornerDoses | None = None
     planes: PlaneDose | None = None
     given: GivenDose | None = None
+    off: Corner | None = None
     history: Sequence[Mapping[str, Any]] = ()
 
     def __repr__(self) -> str:
@@ -133,6 +136,12 @@ class Proof:
     def ratio(self) -> float:
         """The proved window over the predicted one; NaN if no window is predicted."""
         return self.scores.window / self.claimed.window if self.claimed.window > 0 else float("nan")
+
+    @cached_property
+    def difference(self) -> float:
+        """Greatest difference of the solver's dose from the proved one, over the peak; takes half an evaluation."""
+        own = self.operator.T(self.frames.irradiance(self.operator.device)).numpy()
+        return float(np.abs(own - self.dose.numpy())[self.operator.grid.cylinder()].max() / (self.scores.peak or 1.0))
 
     @property
     def outer_share(self) -> float:
@@ -176,8 +185,8 @@ class Proof:
         exposure = exposure_of(self.operator) if self.independent else None
         if exposure is None:
             raise BadInput(
-                f"{type(self.operator).__name__} has no independent ray tracer and therefore no dose on finer voxels; "
-                "prove a Projection, or read Proof.dose"
+                "the dose is the operator's own, and there is none on finer voxels; simulate a Projection without "
+                "coarse=True, or read Proof.dose"
             )
         light = self.frames.irradiance(self.operator.device)
         return exposure.fine(light, reach, above)
@@ -235,12 +244,13 @@ class Proof:
     def lines(self) -> tuple[Line, ...]:
         """Every score with its meaning."""
         s, w = self.scores, self.scores.windows
-        share = "share of the light that the part absorbs; the rest is absorbed elsewhere or leaves the resin"
+        share = "fraction of the light that the part absorbs; the rest is absorbed elsewhere or leaves the resin"
         share = share if absorbs(self.operator) else "mean path of light inside the part: nothing is absorbed"
-        idle = "share of the light sent by pixels whose rays never meet the part"
+        idle = "fraction of the light from pixels whose rays never meet the part"
         bright = "mean over all pixels and angles / a full-on pixel, regardless of where the light goes"
         outside = "mean dose of judged voxels outside the part / mean dose in it; at 1 both get the same"
         found = [
+            *((Line("machine with errors", str(self.off), "the frames are exposed on it"),) if self.off else ()),
             Line("process window, strict", f"{w.strict:+.4f}", "(least dose in the part − greatest outside) / peak"),
             *_judged(self),
             *_bounded(self),
@@ -300,9 +310,9 @@ class Proof:
             StorageError: The page cannot be written.
         """
         # avoids a circular import: reports take `efficiency`
-        from vamgpu.printing.report import write_report
+        from vamgpu.printing.report import page_of
 
-        return write_report(self, path, plan, judgement)
+        return page_of(self, plan, judgement).write(path)
 
 
 def _bounded(proof: Proof) -> tuple[Line, ...]:
@@ -314,7 +324,7 @@ def _bounded(proof: Proof) -> tuple[Line, ...]:
         own, dose = proof.corners.window, "at all corners, from traced rays"
     reached = f"this one has {own:+.4f} {dose}, {100 * proof.bound.share(own):.0f} %"
     on = f" on {proof.bound.on}" if proof.bound.on else ""
-    most = f"no patterns give more{on}; {reached}"
+    most = f"no patterns can exceed it{on}; {reached}"
     return (Line("process window, at most", f"{proof.bound.value:+.4f}", most),)
 
 
@@ -332,9 +342,11 @@ def _cornered(proof: Proof) -> Iterator[Line]:
 def _judged(proof: Proof) -> Iterator[Line]:
     """The dose that was judged, and the predicted window."""
     if proof.independent:
-        agrees = "" if proof.agrees is None else f"; the next finer ones differ by ≤ {proof.agrees:.1g} of the peak"
+        agrees = "" if proof.agrees is None else f"; finer voxels change the dose by ≤ {proof.agrees:.1g} of the peak"
         voxels = "finer voxels" if proof.width is None else f"voxels of {1e3 * proof.width:.3g} µm"
         yield Line("judged by", "traced rays", f"each voxel of the part is the mean of {voxels}{agrees}")
+        if isinstance(proof.operator, OxygenModel):
+            yield Line("dose by the solver", f"{proof.difference:.3g}", "greatest difference from the proof's / peak")
         yield Line(
             "window by the solver",
             f"{proof.claimed.window:+.4f}",
@@ -346,8 +358,7 @@ def _judged(proof: Proof) -> Iterator[Line]:
             "strict window from traced rays / predicted one, if that is above 0",
         )
     else:
-        name = type(proof.operator).__name__
-        yield Line("judged by", "its own operator", f"{name} has no independent ray tracer, so nothing is proved")
+        yield Line("judged by", "its own operator", "nothing is proved: no independent rays were traced")
     if proof.outer is not None:
         where = f"greatest dose / threshold, {proof.outer.where}"
         yield Line("dose beyond the cylinder", f"{proof.outer_share:.3f}", where)
@@ -369,10 +380,14 @@ def efficiency(proof: Proof) -> str:
     return f"{proof.light_efficiency:.3g} mm"
 
 
+def _seconds(value: float | None) -> str:
+    return "not computed" if value is None else f"{value:.3g} s" if isfinite(value) else "never"
+
+
 def _times(exposure: ExposureTimes) -> tuple[Line, ...]:
     return (
         Line("exposure", f"{exposure.seconds:.3g} s", f"until resin at the threshold is solid, at {exposure.given}"),
-        Line("part complete", f"{exposure.complete:.3g} s", "until the last voxel of the part is solid"),
-        Line("first excess", f"{exposure.overcure_onset:.3g} s", "until the first voxel outside is solid"),
+        Line("part complete", _seconds(exposure.complete), "until the last voxel of the part is solid"),
+        Line("first excess", _seconds(exposure.overcure_onset), "until the first voxel outside is solid"),
         Line("optical energy", f"{exposure.energy / 1e3:.3g} J", "sent until the end of the exposure"),
     )

@@ -11,9 +11,10 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid
 from vamgpu.methods.plan_folder import inputs_of, operator_from, target_from
+from vamgpu.methods.tolerances import Corner
 from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.window import Windows
 from vamgpu.printing.beyond_cylinder import Outer
@@ -25,17 +26,18 @@ from vamgpu.printing.pack import Solved
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.surface import stray
 from vamgpu.storage.folder import Entry, Folder
+from vamgpu.storage.reading import malformed
 from vamgpu.targets.target import Target
 
 RECORDS: dict[str, type[Any]] = {
     one.__name__: one
-    for one in (Scores, SliceScores, Windows, Outer, ExposureTimes, GivenDose, ProvedDose)
+    for one in (Scores, SliceScores, Windows, Outer, ExposureTimes, GivenDose, ProvedDose, Corner)
 }  # fmt: skip
 """Records that hold the numbers of a proof."""
 FIELDS = ("scores", "slices", "light_efficiency", "mean_brightness", "claimed", "outer", "independent", "exposure",
-          "width", "agrees", "given")  # fmt: skip
+          "width", "agrees", "given", "off")  # fmt: skip
 """Records of a proof that its manifest must hold."""
-LATER = ("width", "agrees", "given")
+LATER = ("width", "agrees", "given", "off")
 """Records that manifests of 0.3 may lack."""
 
 
@@ -63,7 +65,7 @@ def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Pa
 
 
 def _judged(proof: Proof) -> dict[str, Any]:
-    """What takes long to compute again: verdict, lines of numbers and sensitivity to errors, as plain values."""
+    """Results that take long to compute: verdict, lines of numbers and sensitivity to errors, as plain values."""
     verdict, table = proof.verdict, proof.judgement.table
     said = {name: getattr(verdict, name) for name in ("prints", "proved", "opening", "sentence", "remedies",
                                                       "latitude", "not_judged")}  # fmt: skip
@@ -90,7 +92,7 @@ def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
     folder, place = Folder.open(path), open_device(device)
     A = operator_from(folder, place)
     target = target_from(folder, A.grid, place) if isinstance(getattr(A, "grid", None), Grid) else None
-    try:
+    with malformed(f"the proof in {str(path)!r} is incomplete or malformed", "prove the job again"):
         said = folder.manifest.details["proof"]
         if "part_share" in said:  # its name before 0.3, when the mean brightness was called light efficiency
             said = said | {"light_efficiency": said["part_share"], "mean_brightness": said["light_efficiency"]}
@@ -100,12 +102,6 @@ def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
         dose = folder.record("dose")
         if dose.shape != A.grid.shape:
             raise ValueError(f"a dose of {dose.shape} on a grid of {A.grid.shape}")
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        if isinstance(error, StorageError):
-            raise
-        raise StorageError(
-            f"the proof in {str(path)!r} is incomplete or malformed: {error}; prove the job again"
-        ) from error
     frames = frames_of(folder, place)
     return Proof(
         A,

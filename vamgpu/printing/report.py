@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Iterator
-from importlib import metadata
+from dataclasses import fields, is_dataclass
 from math import prod
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import vamgpu
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.methods.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.methods.tolerances import CornerDose, CornerDoses
 from vamgpu.operators.dose_unit import absorbs
@@ -22,7 +20,22 @@ from vamgpu.printing.proof import Proof, efficiency
 from vamgpu.printing.summary import headline, summary
 from vamgpu.printing.verdict import verdict_of
 from vamgpu.quantity import counted
-from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, SurfaceView, Table
+from vamgpu.reports.chart import colored, picture
+from vamgpu.reports.page import (
+    Card,
+    Chart,
+    Figure,
+    Image,
+    Images,
+    Legend,
+    Numbers,
+    Page,
+    Papers,
+    Slices,
+    SurfaceView,
+    Table,
+)
+from vamgpu.storage.manifest import versions
 
 BYTES_A_VOXEL = 1800
 """Memory of a report per voxel of the part; 1.75 kB was measured at 128³."""
@@ -30,31 +43,25 @@ PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 """Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""
 
-JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images, IEEE TMI 1 (1982) 192"
-
 
 def report_bytes(proof: Proof) -> int:
     """Memory that drawing a report takes."""
     return BYTES_A_VOXEL * min(prod(proof.operator.grid.shape), WHOLE // 8)
 
 
-def write_report(proof: Proof, path: str | Path, plan: Any = None, judgement: Judgement | None = None) -> Path:
-    """Write the page of a proof; arguments as for `page_of`. Raises `StorageError`."""
-    return page_of(proof, plan, judgement).write(path)
-
-
 def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> Page:
     """The page of a proof."""
     verdict = proof.verdict if judgement is None else verdict_of(proof, judgement)
     judgement = proof.judgement if judgement is None else judgement
-    grid, scores = proof.operator.grid, proof.scores
+    grid, device, scores = proof.operator.grid, proof.operator.device, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
     judged = dose if proof.limits is None else proof.parts.dose.numpy()
     printed = pictures.verdicts(target, judged >= scores.threshold, grid.cylinder())
-    asked = _asked(proof, target)
+    papers = [*map(str, getattr(plan, "papers", ())), *MEASURES, *([VIAL] if proof.operator.vessel else [])]
+    made, asked = versions(PACKAGES), _asked(proof, target)
     data, deviation = _drawn(proof, dose, target, asked, printed)
     return Page(
-        "Print proof",
+        "Print proof" if proof.off is None else f"Print proof on a machine with errors: {proof.off}",
         proof.name,
         verdict.sentence,
         proof.independent and verdict.prints,
@@ -64,20 +71,43 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
             Card("Slices", Slices(), Legend(),
                  *(Images(cut, "trio upright") for cut in pictures.cuts(dose, asked, printed, scores.peak))),
             Card("Dose inside and outside", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
+            *_oxygen(proof),
             *_slice_by_slice(proof, plan),
             *_light(proof),
             *_corners(proof, plan),
             *_pareto(plan),
             Card("Numbers", Numbers(proof.lines()), wide=True),
             Card("Set-up", Table(_setup(proof, plan))),
-            Card("Made with", Table(_versions(proof))),
-            Card("Papers relied on", Papers(_papers(proof, plan)), wide=True),
+            Card("Made with", Table([("device", f"{device.description} ({device.name})"), *made.items()])),
+            Card("Papers relied on", Papers(list(dict.fromkeys(papers))), wide=True),
         ],
         headline=headline(proof, judgement, verdict),
         summary=summary(proof, judgement),
         remedies=verdict.remedies,
         data=data,
     )  # fmt: skip
+
+
+def _oxygen(proof: Proof) -> Iterator[Card]:
+    """Oxygen that is left, curing, and when resin solidifies, in the slice with most of the part."""
+    A: Any = proof.operator
+    if not isinstance(A, OxygenModel):
+        return
+    light, at = proof.frames.irradiance(A.device), int(np.argmax(proof.slices.in_voxels))
+    times, state = A.gel_times(light, proof.scores.threshold), A.state(light)
+    left, cured = 1.0 - state.used.numpy()[:, :, at], state.cured.numpy()[:, :, at]
+    gelled, seconds, most = times[:, :, at], A.oxygen.seconds, float(cured.max()) or 1.0
+    shown = [
+        (left, "viridis", "oxygen left, 0 to that of saturated resin"),
+        (cured / most, "magma", f"cured: dose that found no oxygen, 0 to {most:.3g}"),
+        (np.minimum(gelled / seconds, 1.0), "cividis", f"solid after 0 to {seconds:.4g} s, or never"),
+    ]
+    images = [Image(picture(colored(pictures.upright(values), name)), said) for values, name, said in shown]
+    note = (
+        f"After {A.turns:,} turns of {A.period:g} s, at z = {A.grid.axes()[2][at]:.3g} mm. "
+        "Doses are relative to that which uses up the oxygen of saturated resin. The solver's model gives these maps."
+    )
+    yield Card("Oxygen", Images(images, "trio upright"), note=note, wide=True)
 
 
 def _slice_by_slice(proof: Proof, plan: Any) -> Iterator[Card]:
@@ -104,7 +134,7 @@ def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
         for top in (max(max(corner.greatest for corner in doses.corners), 1e-30),)
         for corner in doses.corners
     ]
-    yield Card("At its tolerances", Table(rows), note=f"{note}: {doses.statement()}. Doses are shares of the maximum.")
+    yield Card("At its tolerances", Table(rows), note=f"{note}: {doses.statement()}. Doses are relative to the peak.")
 
 
 def _pareto(plan: Any) -> Iterator[Card]:
@@ -120,8 +150,11 @@ def _light(proof: Proof) -> Iterator[Card]:
     motion = proof.operator.motion
     note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
     yield Card("Sinogram", Images([pictures.sinogram(light, full)], "sinogram"), note=note)
+    (angles, columns, rows), bits = proof.operator.range.shape, getattr(proof.frames, "bits", None)
+    size = f"{columns} × {rows} pixels" + (f" of {counted(bits, 'bit')}" if bits else "")
+    note = f"{counted(angles, 'frame')} of {size}; full-on is white, shown with a gamma of {GAMMA:g}."
     shown = Images(pictures.frames(light, full, np.degrees(motion.poses)), "frames")
-    yield Card("Frames", shown, note=_frames_note(proof))
+    yield Card("Frames", shown, note=note)
 
 
 def _drawn(
@@ -149,7 +182,7 @@ def _tiles(proof: Proof) -> list[Figure]:
     outside = f"{proof.outside_over_inside:.3f}"
     tiles = [
         ("IoU", f"{scores.iou:.4f}", "intersection over union at the threshold"),
-        ("VER", _power(scores.error_rate), "voxels on the wrong side of the threshold"),
+        ("VER", f"{100 * scores.error_rate:.2g} %", "voxels on the wrong side of the threshold"),
         ("IPDR", f"{scores.dose_range:.3f}", "range of the dose in the part / greatest dose"),
         ("light efficiency", efficiency(proof), part),
         ("idle light", f"{100 * proof.idle_light:.2g} %", "of the light sent never meets the part"),
@@ -159,24 +192,15 @@ def _tiles(proof: Proof) -> list[Figure]:
     return [Figure(value, name, meaning) for name, value, meaning in tiles]
 
 
-def _power(value: float) -> str:
-    """A share in percent, with two digits."""
-    return "0" if value == 0 else f"{100 * value:.2g} %"
-
-
 def _surface_note(proof: Proof) -> str:
     grid = proof.operator.grid
     width, depth, height = (n * grid.pitch for n in grid.shape)
+    stray = "Orange: resin beyond the judged cylinder that also prints. " if proof.outer_share >= 1.0 else ""
     return (
         "Surface where the dose reaches the threshold, colored by its distance from the target; the scale ends at one "
-        f"voxel. {_stray_note(proof)}Field of {width:.3g} × {depth:.3g} × {height:.3g} mm. "
+        f"voxel. {stray}Field of {width:.3g} × {depth:.3g} × {height:.3g} mm. "
         "Drag to turn, scroll to zoom."
     )
-
-
-def _stray_note(proof: Proof) -> str:
-    """The meaning of orange."""
-    return "Orange: resin beyond the judged cylinder that also prints. " if proof.outer_share >= 1.0 else ""
 
 
 def _asked(proof: Proof, target: np.ndarray) -> np.ndarray:
@@ -185,14 +209,6 @@ def _asked(proof: Proof, target: np.ndarray) -> np.ndarray:
     if limits is None:
         return target
     return np.where(limits.gray, np.maximum(target, 0.2 + 0.6 * np.clip(limits.dose, 0.0, 1.0)), target)
-
-
-def _frames_note(proof: Proof) -> str:
-    angles, columns, rows = proof.operator.range.shape
-    bits = getattr(proof.frames, "bits", None)
-    depth = f" of {counted(bits, 'bit')}" if bits else ""
-    frames = f"{counted(angles, 'frame')} of {columns} × {rows} pixels{depth}"
-    return f"{frames}; full-on is white, shown with a gamma of {GAMMA:g}."
 
 
 def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
@@ -223,26 +239,7 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
 
 def _described(value: Any) -> str:
     """Name and numbers of a frozen description."""
-    from dataclasses import fields, is_dataclass
-
     if isinstance(value, str) or not is_dataclass(value):
         return str(value) if isinstance(value, str) else type(value).__name__
     parts = [f"{f.name.replace('_', ' ')} {getattr(value, f.name)!r}" for f in fields(value) if f.repr]
     return f"{type(value).__name__}: {', '.join(parts)}" if parts else type(value).__name__
-
-
-def _versions(proof: Proof) -> list[tuple[str, str]]:
-    device = proof.operator.device
-    rows = [("device", f"{device.description} ({device.name})"), ("vamgpu", vamgpu.__version__)]
-    rows.append(("Python", platform.python_version()))
-    for package in PACKAGES:
-        try:
-            rows.append((package, metadata.version(package)))
-        except metadata.PackageNotFoundError:
-            continue
-    return rows
-
-
-def _papers(proof: Proof, plan: Any) -> list[str]:
-    own = (*MEASURES, VIAL if proof.operator.vessel else JOSEPH)
-    return list(dict.fromkeys([*(str(paper) for paper in getattr(plan, "papers", ())), *own]))

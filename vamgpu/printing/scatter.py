@@ -49,7 +49,11 @@ class ScatterStop:
 
     def see(self, seconds: float, image: npt.NDArray[np.generic]) -> ScatterReading:
         """Add one frame [row, column] in gray levels; the first is taken before the light. Raises `BadInput`."""
-        total = self._total(image)
+        if image.ndim != 2 or (self._shape and image.shape != self._shape):
+            raise BadInput(f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, as for others")
+        total = float(image.sum(dtype=np.float64))
+        if not np.isfinite(total):
+            raise BadInput("a frame holds values that are not finite; expected gray levels")
         if self.readings and seconds <= self.readings[-1].seconds:
             raise BadInput(f"a frame at {seconds:g} s follows {self.readings[-1].seconds:g} s; expected rising times")
         if not self.readings:
@@ -84,11 +88,3 @@ class ScatterStop:
             if self.see(seconds, image).stop:
                 break
         return self.stopped
-
-    def _total(self, image: npt.NDArray[np.generic]) -> float:
-        if image.ndim != 2 or (self._shape and image.shape != self._shape):
-            raise BadInput(f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, as for others")
-        total = float(image.sum(dtype=np.float64))
-        if not np.isfinite(total):
-            raise BadInput("a frame holds values that are not finite; expected gray levels")
-        return total

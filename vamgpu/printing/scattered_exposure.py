@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.geometry import Grid
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.operators.compose import combine
@@ -16,6 +17,7 @@ from vamgpu.operators.ring_projection import in_voxels, rings_of
 from vamgpu.operators.scattering_rings import ScatteringRings
 from vamgpu.operators.traced_projection import BLOCK
 from vamgpu.printing.independent_exposure import IndependentExposure, _Disc
+from vamgpu.printing.oxygen_exposure import OxygenExposure
 
 OTHER = 7919
 """Difference of the seed from that of the solver's photons."""
@@ -55,11 +57,11 @@ class ScatteredExposure(IndependentExposure):
 
 def is_traced(A: Any) -> bool:
     """Whether there are independent rays for an operator."""
-    return isinstance(A, Projection | ScatteringRings)
+    oxygen = isinstance(A, OxygenModel) and isinstance(A.operator, Projection)
+    return oxygen or isinstance(A, Projection | ScatteringRings)
 
 
 def exposure_of(A: Any) -> IndependentExposure | None:
     """The independent exposure of an operator's frames; None if there is none."""
-    if not is_traced(A):
-        return None
-    return ScatteredExposure(A) if isinstance(A, ScatteringRings) else IndependentExposure(A)
+    kinds: dict[type, Any] = {ScatteringRings: ScatteredExposure, OxygenModel: OxygenExposure}
+    return kinds.get(type(A), IndependentExposure)(A) if is_traced(A) else None

@@ -73,7 +73,7 @@ def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Project
 
 
 def _varied(A: Projection, beam: Beam, vessel: Any) -> Projection:
-    return Projection(A.grid, beam, A.motion, vessel, device=A.device, footprint=A.footprint)
+    return Projection(A.grid, beam, A.motion, vessel, device=A.device)
 
 
 SCENARIOS = (

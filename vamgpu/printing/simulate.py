@@ -10,6 +10,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.methods.part import check_cylinder, on_device
@@ -27,7 +28,7 @@ from vamgpu.optics.outer_resin import OuterResin, outer_resin
 from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
 from vamgpu.printing.black_level import check_dose
 from vamgpu.printing.bodies import judged_parts
-from vamgpu.printing.exposure import expose
+from vamgpu.printing.exposure import expose, through_turns
 from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.scattered_exposure import exposure_of, is_traced
@@ -49,7 +50,7 @@ class ShownLight(Protocol):
 
 
 def simulate(
-    A: Projection | RingProjection | ScatteringRings,
+    A: Projection | RingProjection | ScatteringRings | OxygenModel,
     frames: ShownLight,
     target: Any,
     *,
@@ -65,9 +66,10 @@ def simulate(
     The dose does not come from ``A``. Independent rays, which turn while a frame is lit, expose finer voxels out to the
     inner wall (see `IndependentExposure`); the dose of a part voxel is the mean of its fine voxels. These voxels are
     refined until the dose changes by less than 1e-3. Resin above and below the grid is exposed as far as light reaches.
-    The proof also has the scores that ``A`` predicts, as ``claimed``. In a resin that scatters, other photons than
-    those of ``A`` add what rays lose. Other operators have no independent rays and judge themselves on their own grid;
-    the proof then states this and is never all correct.
+    The proof also has the scores that ``A`` predicts, as ``claimed``. In a resin that scatters, photons other than
+    those of ``A`` add the light that rays lose; with oxygen, the proof's own steps of diffusion and reaction on finer
+    voxels give the effective dose. Other operators have no independent rays and judge themselves on their
+    own grid; the proof then states this and is never all correct.
 
     Args:
         A: the operator that the frames were solved with; for one on rings, its ``direct``.
@@ -97,7 +99,9 @@ def simulate(
             to be in these units.
     """
     A = cast("Projection", direct(A))  # or an operator with its attributes
-    _both_or_neither(irradiance, critical_dose)
+    if (irradiance is None) != (critical_dose is None):
+        given, missing = ("irradiance", "critical_dose") if critical_dose is None else ("critical_dose", "irradiance")
+        raise BadInput(f"got {given} without {missing}; give both for predicted times, or neither")
     if threshold is not None:
         threshold = positive("threshold", threshold)
     fraction = on_device(A, target)
@@ -112,25 +116,24 @@ def simulate(
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # for the exposure of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
         held, claimed = _scored(own, fraction, limits, threshold)
-    rays = None if coarse else exposure_of(A)
-    judge = _Itself(A, own) if rays is None else rays.agreed(light)
+    judge = _Itself(A, own) if coarse or (rays := exposure_of(A)) is None else rays.agreed(light)
     pixel = IndependentExposure(A).column if is_traced(A) else A.grid.pitch
     dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
-    shone = Dwell(A.motion, A.device).weighted(light)
-    scores = claimed
-    if dose is not own:
-        held, scores = _scored(dose, fraction, limits, threshold)
+    shone = Dwell(A.motion, A.beam, A.device).sent(light)
+    held, scores = (held, claimed) if dose is own else _scored(dose, fraction, limits, threshold)
     plain = scores if limits is None else score(dose, held.target, threshold=scores.threshold * limits.void)
     sent = light_sent(shone)
-    given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
+    given: Any = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
+    times = None if irradiance is None else expose(A, plain, sent, frames.scale, **given)
+    if times is not None and isinstance(A, OxygenModel):
+        times = through_turns(times, A, plain, A.gel_times(light, scores.threshold), fraction.numpy() >= 0.5)
     return Proof(
         operator=A, frames=frames, name=getattr(target, "name", None) or "target", target=fraction, dose=dose,
         scores=scores, slices=score_slices(held.dose, held.target, scores), claimed=claimed, outer=outer,
         independent=isinstance(judge, IndependentExposure), width=judge.pitch, agrees=judge.agrees,
         solid=getattr(target, "solid", None), limits=limits,
         light_efficiency=plain.total_in / sent if sent > 0 else 0.0,
-        mean_brightness=mean_brightness(shone, frames.scale),
-        exposure=None if irradiance is None else expose(A, plain, sent, frames.scale, **given),  # type: ignore[arg-type]
+        mean_brightness=mean_brightness(shone, frames.scale), exposure=times,
     )  # fmt: skip
 
 
@@ -204,9 +207,3 @@ def _greatest(outer: OuterResin, dose: np.ndarray, part: Around) -> Outer:
     at = np.unravel_index(int(np.argmax(dose)), dose.shape)
     place = (float(x[at[:2]]), float(y[at[:2]]), float(cells.z[at[2]]))
     return Outer(float(dose[at]), place, cells.pitch, cells.inner + cells.rings * cells.pitch)
-
-
-def _both_or_neither(irradiance: float | str | None, critical_dose: float | str | None) -> None:
-    if (irradiance is None) != (critical_dose is None):
-        given, missing = ("irradiance", "critical_dose") if critical_dose is None else ("critical_dose", "irradiance")
-        raise BadInput(f"got {given} without {missing}; give both for predicted times, or neither")

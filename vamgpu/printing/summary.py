@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from itertools import groupby
-from math import inf, isfinite, isnan
+from math import isfinite, isnan
 from typing import Any
 
 from vamgpu.metrics.line import length
 from vamgpu.metrics.surface_judgement import SurfaceJudgement
 from vamgpu.printing import charts
-from vamgpu.printing.exposure import USUAL
 from vamgpu.printing.judgement import DEEP, Judgement
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable
@@ -44,10 +43,10 @@ def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Figur
     deep, found = length(judgement.deep), judgement.over_tolerance
     low, high = verdict.latitude
     meaning = (
-        f"exposures, relative to the proved one, at which everything farther than {deep} from the surface is correct"
+        f"exposures, relative to the proved one, at which everything farther than {deep} from the surface is correct, "
+        "and bodies, holes and narrow walls stay as they are"
     )
-    known = 0.0 < low < inf and isfinite(high)
-    said = f"{100 * (low - 1.0):+.2g} % … {100 * (high - 1.0):+.2g} %".replace("-", "−") if known else "–"
+    said = " … ".join(f"{100 * (end - 1):+.{int(abs(end - 1) < 0.1)}f} %" for end in (low, high)).replace("-", "−")
     figures = [Figure(said if low < high else "none", "dose latitude", meaning)]
     for number, name in ((1.0, "a pixel"), (DEEP, "two pixels")):
         distance = min(number * judgement.pixel, float(found.distance[-1]))
@@ -55,33 +54,17 @@ def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Figur
         share = f"(least dose in the part − greatest outside) / greatest dose; {judged}"
         figures.append(Figure(signed(found.at(distance)), f"window {name} from the surface, {length(distance)}",
                               share))  # fmt: skip
-    return [*_given(proof), *figures, *_beyond(proof), *_surface(judgement.surface), *_time(proof)]
-
-
-def _given(proof: Proof) -> list[Figure]:
-    """The dose of a run; empty for a proof of frames."""
-    if proof.given is None:
-        return []
-    dose = proof.given
-    turns = f"{counted(dose.turns, 'turn')} in {dose.seconds:.1f} s"
-    return [Figure(f"×{dose.share:.3f}", "dose given over proved", f"{turns}; {dose.verdict}")]
-
-
-def _time(proof: Proof) -> list[Figure]:
-    """The exposure time, if it is known."""
-    if proof.exposure is None:
-        return []
-    turns = counted(proof.exposure.turns(), "turn", ".3g")
-    note = f"{turns} at {USUAL:g} deg/s; until resin at the threshold is solid"
-    return [Figure(f"{proof.exposure.seconds:.3g} s", "exposure", note)]
-
-
-def _beyond(proof: Proof) -> list[Figure]:
-    """Dose of the resin beside, above and below the judged cylinder; empty if there is none."""
-    if proof.outer is None:
-        return []
-    meaning = f"greatest dose around the judged cylinder: {proof.outer.where}; from 1 on, resin there prints"
-    return [Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning)]
+    if (dose := proof.given) is not None:
+        turns = f"{counted(dose.turns, 'turn')} in {dose.seconds:.1f} s"
+        figures.insert(0, Figure(f"×{dose.share:.3f}", "dose given over proved", f"{turns}; {dose.verdict}"))
+    if proof.outer is not None:
+        meaning = f"greatest dose around the judged cylinder: {proof.outer.where}; at 1 or more, resin there prints"
+        figures.append(Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning))
+    figures += _surface(judgement.surface)
+    if proof.exposure is not None:
+        note = f"{proof.exposure.turning}; until resin at the threshold is solid"
+        figures.append(Figure(f"{proof.exposure.seconds:.3g} s", "exposure", note))
+    return figures
 
 
 def _surface(found: SurfaceJudgement) -> list[Figure]:
@@ -102,7 +85,7 @@ def _chart_note(proof: Proof) -> str:
     return (
         "W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose, on "
         f"{voxels}. If W is above 0, one exposure prints everything correctly except a skin of thickness δ on either "
-        "side of the surface. Below: share of the part at that depth or deeper."
+        "side of the surface. Below: fraction of the part at that depth or deeper."
     )
 
 

@@ -16,21 +16,20 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.kernels.update import linear
 from vamgpu.metrics.depth import LARGEST_REACH, padded_depth
 from vamgpu.metrics.histogram import above, extremes
 from vamgpu.metrics.parts import IN, OUT
 from vamgpu.metrics.scores import score
-from vamgpu.operators.compose import NO_FLOOR
+from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.scenarios import SCENARIOS, Scenario
 from vamgpu.targets.limits import NOWHERE, Limits
 
 REFINED = 2
-"""Greatest number of exposures in the search for a first wrong voxel between two known amounts."""
+"""Greatest number of exposures in the search for a first wrong voxel between known amounts; one more beyond them."""
 _CLOSE = 0.002
-"""Share of the greatest dose: the search ends when a voxel is this near to the threshold."""
+"""Share of the greatest dose: the search ends when the nearest voxel is this near to the threshold, on either side."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,6 @@ def tolerance_table(
     return ToleranceTable(exact.nominal.row("nominal", ""), tuple(rows), tuple(first), exact.exposures)
 
 
-# ---- one exposure after the other -----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Seen:
     """The effect of one exposure on the voxels that count."""
@@ -143,12 +141,12 @@ class _Nominal:
         self.A, self.light, self.limits = A, light, limits
         self.fraction = fraction
         if far_off:
-            counted = _far_from_the_surface(fraction.numpy(), far_off / A.grid.pitch, A.beam.flat)
+            counted = _far_from_the_surface(fraction, far_off / A.grid.pitch, A.beam.flat)
             self.fraction = fraction.device.upload(counted)
         self.dose, self.exposures = A.T(light), 1
         self._more: DeviceArray | None = None
         if proved is not None:
-            self._more = _combined(1.0, proved, -1.0, self.dose)
+            self._more = combine(1.0, proved, -1.0, self.dose, self.dose)
             self.dose = proved
         held = judged_parts(self.dose, fraction, limits)
         scores = score(held.dose, held.target, threshold=threshold)
@@ -163,7 +161,7 @@ class _Nominal:
             raise BadInput(f"{type(self.A).__name__} cannot be varied; only a plain Projection can")
         dose = scenario.off(self.A, amount).T(self.light)
         self.exposures += 1
-        return self._seen(dose if self._more is None else _combined(1.0, dose, 1.0, self._more), 1.0)
+        return self._seen(dose if self._more is None else combine(1.0, dose, 1.0, self._more, dose), 1.0)
 
     def _seen(self, dose: DeviceArray, times: float) -> _Seen:
         """Judge a dose that is exposed ``times`` as long, without a copy."""
@@ -182,22 +180,14 @@ class _Nominal:
         )
 
 
-def _far_from_the_surface(fraction: np.ndarray, voxels: float, flat: bool) -> np.ndarray:
+def _far_from_the_surface(field: DeviceArray, voxels: float, flat: bool) -> np.ndarray:
     """The fractions, with `NOWHERE` closer to the surface than ``voxels``; all fractions if no voxel is that deep."""
-    reach = min(voxels * (1.0 - 1e-3), LARGEST_REACH - 3.0)
-    depth, pad = padded_depth(fraction, reach, flat)
+    reach, fraction = min(voxels * (1.0 - 1e-3), LARGEST_REACH - 3.0), field.numpy()
+    depth, pad = padded_depth(fraction, reach, flat, field.device)
     counted = np.where(np.abs(depth[pad:-pad, pad:-pad, pad:-pad]) >= reach, fraction, NOWHERE).astype(np.float32)
     return counted if (counted >= 0.5).any() else fraction
 
 
-def _combined(a: float, x: DeviceArray, b: float, y: DeviceArray) -> DeviceArray:
-    """a·x + b·y, a new field."""
-    out = x.device.empty(x.shape)
-    x.device.launch(linear, a=a, x=x, b=b, y=y, floor=NO_FLOOR, out=out)
-    return out
-
-
-# ---- the first wrong voxel ------------------------------------------------------------------------------------------
 Point = tuple[float, float]
 """An amount, and the margin of the print with it; below 0 if voxels are wrong."""
 
@@ -207,8 +197,9 @@ def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[flo
     farthest = sign * scenario.farthest
     if exact.nominal.missing + exact.nominal.excess:
         return FirstWrong(scenario.name, 0.0, farthest, "wrong without an error")
-    if scenario.off is None:
-        amount = _of_dose(exact, sign)
+    if scenario.off is None:  # a shorter or longer time is known without an exposure
+        nearest = exact.nominal.least if sign < 0 else exact.nominal.greatest
+        amount = exact.threshold / nearest - 1.0 if nearest > 0 else nan
     else:
         amount, farthest = _closed_in(exact, scenario, farthest, known)
     if not abs(amount) <= scenario.farthest:
@@ -217,40 +208,32 @@ def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[flo
     return FirstWrong(scenario.name, amount, farthest, scenario.written(amount, 2))
 
 
-def _of_dose(exact: _Nominal, sign: int) -> float:
-    """A shorter or longer time: known without an exposure. NaN if there is no dose outside."""
-    nearest = exact.nominal.least if sign < 0 else exact.nominal.greatest
-    return exact.threshold / nearest - 1.0 if nearest > 0 else nan
-
-
 def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
     """The amount, interpolated between a good and a bad one, NaN if none is bad; and the greatest amount searched."""
-    # If the greatest amount does not apply, this is the largest amount that was exposed, or 0 if there is none.
-    good: Point = (0.0, exact.nominal.margin)
-    bad: Point | None = None
+    # If the next amount does not apply, this is the largest amount that was exposed, or 0 if there is none.
+    good: list[Point] = [(0.0, exact.nominal.margin)]
+    bad: list[Point] = []
     for amount in sorted((a for a in known if a * farthest > 0), key=abs):
-        margin = known[amount].margin
-        if margin < 0:
-            bad = (amount, margin)
+        (good if known[amount].margin >= 0 else bad).append((amount, known[amount].margin))
+        if bad:
             break
-        good = (amount, margin)
-    if bad is None:
-        try:
-            bad = (farthest, exact.exposed(scenario, farthest).margin)
-        except BadInput:
-            return nan, good[0]
-    if bad[1] >= 0:
-        return nan, farthest
     with suppress(BadInput):
-        for _ in range(REFINED):
-            amount = _crossing(good, bad)
+        for tried in range(REFINED + (not bad)):
+            amount = _crossing(good, bad, farthest) if bad or not tried else farthest
             margin = exact.exposed(scenario, amount).margin
-            good, bad = (good, (amount, margin)) if margin < 0 else ((amount, margin), bad)
-            if abs(margin) < _CLOSE:
-                break
-    return _crossing(good, bad), farthest
+            good, bad = ([*good, (amount, margin)], bad) if margin >= 0 else (good, [(amount, margin)])
+            if good[-1][0] == farthest:
+                return nan, farthest
+            crossing = _crossing(good, bad, farthest)
+            if abs(margin) < _CLOSE and crossing != farthest:
+                return crossing, farthest
+    return (_crossing(good, bad, farthest), farthest) if bad else (nan, good[-1][0])
 
 
-def _crossing(good: Point, bad: Point) -> float:
-    """Amount at which the straight line through two points reaches 0."""
-    return good[0] + (bad[0] - good[0]) * good[1] / (good[1] - bad[1])
+def _crossing(good: list[Point], bad: list[Point], farthest: float) -> float:
+    """The next amount at which a parabola through the last three margins, or a line through two, reaches 0."""
+    amounts, margins = zip(*(good + bad)[-3:], strict=True)
+    roots = np.roots(np.polyfit(amounts, margins, len(amounts) - 1))
+    near, limit = good[-1][0], bad[-1][0] if bad else farthest
+    ahead = [float(root.real) for root in roots if not root.imag and (root.real - near) * (limit - root.real) >= 0]
+    return min(ahead, key=abs, default=limit)

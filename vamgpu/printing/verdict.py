@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf, isfinite, isnan, sqrt
+from math import inf, isnan, sqrt
 from typing import TYPE_CHECKING
 
 from vamgpu.metrics.body_changes import BodyChanges
 from vamgpu.metrics.line import length
 from vamgpu.printing.causes import Causes
-from vamgpu.printing.exposure import USUAL
-from vamgpu.quantity import counted
+from vamgpu.units import mW_cm2
 
 if TYPE_CHECKING:
     from vamgpu.printing.judgement import Judgement
@@ -40,8 +39,10 @@ class Verdict:
         faults: All that is wrong, worst first.
         made: What prints, in words.
         latitude: Least and greatest exposure, relative to the proved one, at which all resin farther than two pixels
-            from the surface prints correctly and none beyond the judged cylinder prints; (inf, 0) if there is no such
-            exposure. If no part of the object is that deep, its deepest voxels set the lower limit.
+            from the surface prints correctly, none beyond the judged cylinder prints, bodies, holes and cavities stay
+            as they are, and walls and gaps up to four pixels wide do so at 95 % of the surface. It is searched from
+            half to twice the proved exposure; (inf, 0) if there is no such exposure, or a body is already wrong at the
+            proved one.
         proved: Whether the verdict comes from rays traced independently of the solver; otherwise it is coarse.
         not_judged: What was not judged, one sentence each; empty if everything was judged.
     """
@@ -88,41 +89,39 @@ class Verdict:
 
 def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
     """Give the verdict on a proof."""
-    low, high = _latitude(proof, judgement)
-    surface, most = judgement.surface, min(high, 1.0 / proof.outer_share if proof.outer_share else inf)
+    surface, at = judgement.surface, proof.scores.threshold
+    least, greatest = judgement.over_tolerance.limits(judgement.deep)
+    deep = (at / least, at / greatest if greatest > 0.0 else inf) if least > 0.0 else (inf, 0.0)
+    beyond = 1.0 / proof.outer_share if proof.outer_share else inf
+    low, most = inf, 0.0
+    if surface.thresholds is not None:
+        low, most = max(deep[0], at / surface.thresholds[1]), min(deep[1], at / surface.thresholds[0], beyond)
     nothing, causes = isnan(surface.mean), Causes(proof, judgement)
     empty = [Fault("nothing prints", "use a longer exposure, or a brighter lamp")] if nothing else []
     faults = [*_dose(proof), *empty, *_stray(proof), *_bodies(surface.changes, causes)]
-    if not nothing and (low > 1.0 or high <= 1.0):
-        longer = sqrt(low * most) if isfinite(most) else 2.0 * low
-        other = f"expose {longer:.3g} times as long" if low < most else causes.deep
+    if not nothing and (deep[0] > 1.0 or deep[1] <= 1.0):
+        other = f"expose {sqrt(low * most):.3g} times as long" if low < most else causes.deep
         faults.append(Fault(f"resin more than {length(judgement.deep)} from the surface prints incorrectly", other))
     if surface.p95 > ROUGH * judgement.pixel:
         faults.append(Fault(f"5 % of the surface deviates by more than {length(surface.p95)}", causes.rough))
     faults += _left(proof, causes)
-    shares = [f"{_percent(1.0 - low)} lower"] * (low > 0.0) + [f"{_percent(most - 1.0)} higher"] * isfinite(most)
-    latitude = f"; the dose may be {' to '.join(shares)}" if shares else ""
+    latitude = f"; the dose may be {_percent(1.0 - low, 0.5)} lower or {_percent(most - 1.0, 1.0)} higher"
     times = proof.exposure
-    exposed = f"; {times.seconds:.3g} s, {counted(times.turns(), 'turn', '.3g')} at {USUAL:g} deg/s" if times else ""
+    exposed = f"; {times.seconds:.3g} s, {times.turning}" if times else ""
     near = "" if nothing else f", 95 % of the surface within {length(surface.p95)}"
     return Verdict(tuple(faults), f"{_made(surface.changes)}{near}{latitude}{exposed}", (low, most), proof.independent,
                    judgement.not_judged)  # fmt: skip
 
 
-def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
-    """Exposures, relative to the proof's, between which all judged deep voxels print correctly."""
-    windows, at = judgement.over_tolerance, proof.scores.threshold
-    least, greatest = windows.limits(judgement.deep)
-    low, high = (at / dose if dose > 0.0 else inf for dose in (least, greatest))
-    if not windows.judged_at(judgement.deep):  # then only the surface and the bodies show what is missing from the part
-        return min(low, 1.0), high
-    return (low, high) if least > 0.0 else (inf, 0.0)
-
-
 def _dose(proof: Proof) -> Iterator[Fault]:
-    """A run whose dose differs from the proved one."""
+    """A run whose dose differs from the proved one, and a lamp too dim for the turns of a path."""
     if proof.given is not None and not proof.given.keeps:
         yield Fault(f"the dose is {proof.given}", "leave out --turns; the number of turns then matches the exposure")
+    times = proof.exposure
+    if times is not None and times.enough_turns:
+        needed = f"{times.irradiance / mW_cm2:.4g} mW/cm² full-on in {times.turning}"
+        yield Fault(f"the dose takes {needed}, more than the lamp has",
+                    f"use {times.enough_turns:,} turns or more, longer turns, or a brighter lamp")  # fmt: skip
 
 
 def _stray(proof: Proof) -> Iterator[Fault]:
@@ -131,7 +130,7 @@ def _stray(proof: Proof) -> Iterator[Fault]:
         where = f"{proof.outer.where}, {proof.outer_share:.2f} of the threshold"
         yield Fault(
             f"resin beyond the judged cylinder also prints ({where})",
-            "move the part away from the wall, or use the default method with more evaluations, which keeps it dark",
+            "move the part away from the wall, or use more evaluations of the default method: it keeps this resin dark",
         )  # fmt: skip
 
 
@@ -141,7 +140,7 @@ def _bodies(changes: BodyChanges, causes: Causes) -> Iterator[Fault]:
         ("bodies_lost", "body of the part does not print", "bodies of the part do not print"),
         ("bodies_broken", "body is broken", "bodies are broken"),
         ("bodies_merged", "body joins another one", "bodies join another one"),
-        ("bodies_extra", "loose body prints beside it", "loose bodies print beside it"),
+        ("bodies_extra", "loose body prints beside the part", "loose bodies print beside the part"),
         ("holes_closed", "hole of the part is closed", "holes of the part are closed"),
         ("holes_opened", "hole opens that is not in the part", "holes open that are not in the part"),
         ("cavities_filled", "cavity is filled", "cavities are filled"),
@@ -176,5 +175,7 @@ def _made(changes: BodyChanges) -> str:
     return f"{' and '.join([', '.join(named[:-1]), named[-1]] if named[1:] else named)} as in the part"
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
+def _percent(share: float, searched: float) -> str:
+    """A share in percent; ``searched``: the greatest one that is searched for."""
+    shown = f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.2g} %"
+    return f"at least {shown}" if share > searched - 1e-6 else shown

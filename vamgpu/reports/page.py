@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from vamgpu.errors import StorageError
-from vamgpu.storage.atomic import explained, page_path, replacing
+from vamgpu.storage.atomic import check_folder, page_path, replacing
 
 
 class Figure(NamedTuple):
@@ -145,8 +144,7 @@ class Page:
     def write(self, path: str | Path) -> Path:
         """Write the page into an existing folder, replacing an earlier one."""
         place = page_path(path)
-        if not place.parent.is_dir():
-            raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))
+        check_folder(place)
         if place.is_dir():
             raise StorageError(f"{str(place)!r} is a folder; expected the path of a page: choose another path")
         with replacing(place, overwrite=True) as draft:

@@ -1,7 +1,5 @@
 """Tasks of several bodies: those to print, those in the light path, and those to keep open."""
 
-from __future__ import annotations
-
 from vamgpu.scene.body import Body
 from vamgpu.scene.scene import Scene
 

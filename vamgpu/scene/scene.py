@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import ceil, inf, isfinite
+from math import ceil, inf, isfinite, prod
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +14,8 @@ import numpy.typing as npt
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.card import card
-from vamgpu.errors import BadInput, EmptyMesh, TargetTooLarge
-from vamgpu.geometry import Beam, Grid, Turntable, Vessel, counts, positive
+from vamgpu.errors import BadInput, EmptyMesh, OutOfMemory, TargetTooLarge
+from vamgpu.geometry import Beam, Grid, Turntable, Vessel, centers, counts, positive
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
@@ -22,7 +24,9 @@ from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.occluder import Occluded
 from vamgpu.quantity import meant
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
+from vamgpu.scene.named import named_bodies
 from vamgpu.schema.quantities import Length, measured
+from vamgpu.storage.memory import MEMORY, budget, size
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import LARGEST, MARGIN, SMALLEST, Target, check_thickness
@@ -81,6 +85,27 @@ class Scene:
         origin = None if self.origin is None else np.asarray(self.origin, np.float64)
         if origin is not None and (origin.shape != (3,) or not np.isfinite(origin).all()):
             raise BadInput(f"origin is {self.origin!r}; expected three finite lengths (x, y, z)")
+
+    @classmethod
+    def from_3mf(
+        cls, path: str | Path, *, roles: Literal["names"] | None = None, dose: float | None = None, **settings: Any
+    ) -> Scene:
+        """The objects of a 3MF file as bodies, where they were drawn.
+
+        Args:
+            path: The file.
+            roles: "names", which begin with roles, as "insert rod" or "zero-dose pore". Other objects are printed.
+            dose: Limit for bodies to keep out, relative to the dose that prints.
+            settings: Arguments of the scene: ``factor``, ``orientation``, ``origin``, ``void``.
+
+        Returns:
+            The scene.
+
+        Raises:
+            BadInput: ``roles`` is not "names", no name has a role, a limit is missing, or nothing is to be printed.
+            MeshError: The file is damaged.
+        """
+        return cls(named_bodies(path, roles, dose=dose), **settings)
 
     def _repr_html_(self) -> str:
         return card("Scene", {f"{k}: {body.name}": body.summary(self.place) for k, body in enumerate(self.bodies, 1)})
@@ -199,9 +224,20 @@ class Scene:
 
     def _shares(self, grid: Grid, device: Device) -> _Shares:
         if grid not in self._known:
+            self._afford(grid)
             filled = [body.fractions(grid, self.place, device) for body in self.bodies]
             self._known[grid] = _Shares.of(self, filled)
         return self._known[grid]
+
+    def _afford(self, grid: Grid) -> None:
+        """Raise `OutOfMemory` if the bodies take more than the budget."""
+        need, most = prod(grid.shape) * max(40 + 8 * len(self.bodies), 130 if self.inserts else 0), budget()
+        if need > most:
+            raise OutOfMemory(
+                f"{len(self.bodies)} bodies on {' × '.join(map(str, grid.shape))} voxels of {grid.pitch:.4g} mm take "
+                f"{size(need)} of memory; the budget is {size(most)}: use a pitch of "
+                f"{grid.pitch * (need / most) ** (1 / 3) * 1.01:.2g} mm or more, or raise the budget with {MEMORY}"
+            )
 
     def medium(
         self, grid: Grid, *, resin_index: float | None = None, absorption: float = 0.0,
@@ -223,30 +259,37 @@ class Scene:
         """
         found = self._shares(grid, open_device(device))
         solid, index = np.zeros(grid.shape), np.full(grid.shape, 0.0 if resin_index is None else resin_index)
-        extinction = np.broadcast_to((absorption * _disc(grid))[:, :, None], grid.shape).copy()
+        resin = np.broadcast_to((absorption * disc_of(grid))[:, :, None], grid.shape)
+        extinction = resin.copy()
         for body, share in zip(self.bodies, found.shares, strict=True):
             if body.role != "insert":
                 continue
             if body.opaque:
                 solid += share
                 continue
-            extinction += share * ((body.absorption or 0.0) - extinction)
+            extinction += share * ((body.absorption or 0.0) - resin)  # shares of inserts that touch add up
             if body.index is not None:
                 if resin_index is None:
                     raise BadInput(f"insert {body.name!r} has the index {body.index:g}, but the resin has none; "
                                    "expected a vessel with an index, or resin_index=")  # fmt: skip
                 index += share * (body.index - resin_index)
         bends = any(body.index is not None for body in self.inserts)
+        known = [each for each in (resin_index, *(body.index for body in self.inserts)) if each is not None]
+        index = np.clip(index, min(known, default=0.0), max(known, default=0.0))  # but for the rounding of shares
         absorbs = absorption > 0.0 or any(body.absorption for body in self.inserts)
         solid = np.rint(np.minimum(solid, 1.0) * SHARES) / SHARES
-        fields = [index if bends else None, extinction if absorbs else None, solid if solid.any() else None]
+        fields = [
+            index if bends else None,
+            np.maximum(extinction, 0.0) if absorbs else None,
+            solid if solid.any() else None,
+        ]
         level = all(values is None or (values == values[:, :, :1]).all() for values in fields)
         index_, extinction_, opaque = (values[:, :, 0] if level and values is not None else values for values in fields)
-        return CoRotatingMedium(index_, extinction_, opaque, bath=resin_index if bends else None)
+        return CoRotatingMedium(index_, extinction_, opaque)
 
     def operator(
         self, target: Target, beam: Beam, motion: Turntable, vessel: Vessel | None = None, *, rays: int = RAYS,
-        resin_index: float | None = None, device: str | Device | None = None, footprint: str = "exact",
+        resin_index: float | None = None, device: str | Device | None = None,
     ) -> Projection | TracedProjection:  # fmt: skip
         """The projector of a beam past the inserts.
 
@@ -258,7 +301,6 @@ class Scene:
             rays: Rays per pixel, if there are inserts.
             resin_index: Refractive index of the resin, if the vessel has none.
             device: A name or a device; the best available one by default.
-            footprint: Model of a pixel's light in a voxel, if there are no inserts.
 
         Returns:
             A `Projection`, or with inserts a `TracedProjection` whose rays the vessel refracts and the resin absorbs.
@@ -267,19 +309,13 @@ class Scene:
             BadInput: The vessel bends light in the resin, or an argument is out of its range.
             TargetTooLarge: The printed bodies reach beyond the printable radius.
         """
-        check = getattr(vessel, "check_fits", None)
-        if check is not None:
-            check(target.radius)
+        getattr(vessel, "check_fits", lambda radius: None)(target.radius)
         if not self.inserts:
-            return Projection(target.grid, beam, motion, vessel, device, footprint=footprint)  # type: ignore[arg-type]
-        if isinstance(vessel, (GradedVial, Occluded)):
-            raise BadInput(f"got {type(vessel).__name__} with inserts in resin; expected a vessel in whose resin light "
-                           "runs straight, such as a Vial, or no inserts")  # fmt: skip
-        index = getattr(vessel, "resin_index", None) if resin_index is None else resin_index
-        absorption = 0.0 if vessel is None else vessel.absorption
+            return Projection(target.grid, beam, motion, vessel, device)
+        index, absorption = resin_of(vessel)
+        index = index if resin_index is None else resin_index
         medium = self.medium(target.grid, resin_index=index, absorption=absorption, device=device)
-        bundle = refracted(target.grid, beam, vessel, counts("rays", (rays,), 1)[0])
-        return TracedProjection(target.grid, beam, motion, medium, bundle, device)
+        return through(medium, target.grid, beam, motion, vessel, rays, device)
 
 
 def _drawn(body: Body) -> str:
@@ -293,8 +329,27 @@ def _drawn(body: Body) -> str:
     return f", which was drawn at {said} mm{small},"
 
 
-def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -> RayBundle:
-    """Rays of a beam in the resin of a vessel, side by side in each pixel."""
+def resin_of(vessel: Vessel | None) -> tuple[float | None, float]:
+    """Index, if any, and absorption of the resin of a vessel. Raises `BadInput` if light bends or is cut in it."""
+    if isinstance(vessel, (GradedVial, Occluded)):
+        raise BadInput(f"got {type(vessel).__name__} with inserts or a medium in resin; expected a vessel in whose "
+                       "resin light runs straight, such as a Vial")  # fmt: skip
+    round_one = getattr(vessel, "inner", vessel)  # without what only moves the light
+    return getattr(round_one, "resin_index", None), 0.0 if vessel is None else vessel.absorption
+
+
+def through(
+    medium: CoRotatingMedium, grid: Grid, beam: Beam, motion: Turntable, vessel: Vessel | None, rays: int,
+    device: str | Device | None,
+) -> TracedProjection:  # fmt: skip
+    """The projector of a beam that a vessel refracts, through a medium that turns with the resin."""
+    rows = 1 if medium.is_level else ceil(beam.pitch / grid.pitch - 1e-6)
+    bundle = refracted(grid, beam, vessel, counts("rays", (rays,), 1)[0], rows)
+    return TracedProjection(grid, beam, motion, medium, bundle, device)
+
+
+def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int, rows: int) -> RayBundle:
+    """Rays of a beam in the resin of a vessel, side by side in each pixel, and in ``rows`` above one another."""
     across = (np.arange(rays) + 0.5) / rays - 0.5
     u = beam.columns()[:, None] + beam.pitch * across
     p, angle, share = u, np.zeros_like(u), np.ones_like(u)
@@ -304,12 +359,13 @@ def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -
         p, angle, share = (np.where(lit, values, 0.0) for values in (chords.p, chords.angle, chords.transmittance))
         if vessel.absorption > 0:
             inner = np.sqrt(np.maximum(_circle(grid) ** 2 - p**2, 0.0))
-            share = share * np.exp(
-                -vessel.absorption * np.maximum(0.5 * np.where(lit, chords.length, 0.0) - inner, 0.0)
-            )
-    start = np.stack([p * np.cos(angle), p * np.sin(angle), np.zeros_like(p)], axis=-1)[:, None]
+            outside = np.maximum(0.5 * np.where(lit, chords.length, 0.0) - inner, 0.0)
+            share = share * np.exp(-vessel.absorption * outside)
+    p, angle, share = (np.tile(values, rows) for values in (p, angle, share))
+    z = np.repeat(centers(rows, beam.pitch / rows), rays) + np.zeros_like(p)
+    start = np.stack([p * np.cos(angle), p * np.sin(angle), z], axis=-1)[:, None]
     heading = np.stack([-np.sin(angle), np.cos(angle), np.zeros_like(p)], axis=-1)[:, None]
-    return RayBundle(start, heading, share[:, None] / rays)
+    return RayBundle(start, heading, share[:, None] / (rays * rows))
 
 
 def _circle(grid: Grid) -> float:
@@ -317,7 +373,7 @@ def _circle(grid: Grid) -> float:
     return 0.5 * min(grid.shape[:2]) * grid.pitch
 
 
-def _disc(grid: Grid) -> npt.NDArray[np.float64]:
+def disc_of(grid: Grid) -> npt.NDArray[np.float64]:
     """Share of every column of voxels inside that circle, [x, y]."""
     x, y, _ = grid.axes()
     return np.clip((_circle(grid) - np.hypot(x[:, None], y[None, :])) / grid.pitch + 0.5, 0.0, 1.0)
@@ -365,7 +421,7 @@ class _Shares:
             if body.role not in PRINTED or (self.owner == k).any():
                 continue
             if not (filled[k] >= HALF).any():
-                raise EmptyMesh(f"body {body.name!r} fills no voxel by half; expected at least one: use a finer pitch")
+                raise EmptyMesh(f"body {body.name!r}{_drawn(body)} fills no voxel by half: use a finer pitch")
             there = set(self.owner[filled[k] >= HALF].tolist()) - {-1}
             over = ", ".join(repr(bodies[n].name) for n in sorted(there)) or "others"
             raise EmptyMesh(

@@ -4,8 +4,6 @@ A component is a class whose constructor takes named fields. Their types state u
 meaning. `registry` names the components. Modules are imported only when needed.
 """
 
-from __future__ import annotations
-
 from vamgpu.schema.noun import Field, check, fields_of
 from vamgpu.schema.registry import register
 from vamgpu.schema.write import write

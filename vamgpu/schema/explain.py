@@ -177,13 +177,10 @@ def _table(table: type[Any]) -> Iterator[str]:
         return
     yield "| key | holds | default | meaning |\n|---|---|---|---|"
     for key in found:
-        cells = (f"`{key.name}`", key.what, _code(key.default), key.doc)
+        usual = {"": "required", LEFT_OUT: LEFT_OUT, NO_LIMIT: NO_LIMIT}.get(key.default, f"`{key.default}`")
+        cells = (f"`{key.name}`", key.what, usual, key.doc)
         yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
     yield ""
-
-
-def _code(default: str) -> str:
-    return {"": "required", LEFT_OUT: LEFT_OUT, NO_LIMIT: NO_LIMIT}.get(default, f"`{default}`")
 
 
 def json_schema(file: type[BaseModel]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from vamgpu.errors import BadInput
 from vamgpu.schema.quantities import Quantity, measured
 
 GIVEN = ("device",)
@@ -55,7 +56,8 @@ def fields_of(cls: type[Any]) -> tuple[Field, ...]:
     Returns:
         The fields, in the order of the constructor.
     """
-    hints = _hints(cls)
+    generated = getattr(getattr(cls, "__dataclass_params__", None), "init", False) or hasattr(cls, "model_fields")
+    hints = get_type_hints(cls if generated else cls.__init__, include_extras=True)
     taken = [p for p in inspect.signature(cls).parameters.values() if p.name not in GIVEN and p.kind not in (
         inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)]  # fmt: skip
     docs = docs_of(cls, [*(p.name for p in taken), *GIVEN])
@@ -67,11 +69,6 @@ def given(noun: Any) -> dict[str, Any]:
     if hasattr(noun, "described"):
         return noun.described()
     return {field.name: getattr(noun, field.name) for field in fields_of(type(noun))}
-
-
-def _hints(cls: type[Any]) -> dict[str, Any]:
-    generated = getattr(getattr(cls, "__dataclass_params__", None), "init", False) or hasattr(cls, "model_fields")
-    return get_type_hints(cls if generated else cls.__init__, include_extras=True)
 
 
 def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
@@ -128,8 +125,10 @@ def _checked(kind: Any, name: str, value: Any) -> Any:
         other = value is None and NoneType in parts or callable(value)
         other = other or isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) > 0
         return value if other or not quantities else _checked(quantities[0], name, value)
-    if origin is tuple and isinstance(value, (list, tuple)) and any(quantity_in(part) for part in parts):
-        each = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
-        if len(each) == len(value):
-            return tuple(_checked(part, name, item) for part, item in zip(each, value, strict=True))
+    if origin is tuple and any(quantity_in(part) for part in parts):
+        if parts[-1] is Ellipsis:
+            parts = parts[:1] * np.size(value)
+        if not isinstance(value, (list, tuple, np.ndarray)) or len(value) != len(parts):
+            raise BadInput(f"{name} is {value!r}; expected {len(parts)} numbers")
+        return tuple(_checked(part, name, item) for part, item in zip(parts, value, strict=True))
     return value

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from math import inf, isfinite, pi
 from typing import Annotated, Any
 
+import numpy as np
+
 from vamgpu.errors import BadInput
 from vamgpu.quantity import EXAMPLES, meant, parse, positive, unit_of
 from vamgpu.units import NAMES, dpt
@@ -139,6 +141,20 @@ def finite(name: str, value: Any) -> float:
     return number
 
 
+def numeric(
+    name: str, values: Any, axes: tuple[int, ...] = (1,), expected: str = "a list of numbers, finite and at least one"
+) -> np.ndarray:
+    """``values`` as finite float64, at least one on one of these numbers of axes, if given; else `BadInput`."""
+    try:
+        numbers = np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name} is {values!r}; expected {expected}") from error
+    if (axes and (numbers.ndim not in axes or not numbers.size)) or not np.isfinite(numbers).all():
+        raise BadInput(f"{name} has shape {numbers.shape} and {np.count_nonzero(~np.isfinite(numbers))} numbers that "
+                       f"are not finite; expected {expected}")  # fmt: skip
+    return numbers
+
+
 Length = Annotated[float, Quantity("a length", above=0.0)]
 Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0), example="50 um")]
 """The edge of a voxel."""
@@ -182,6 +198,8 @@ PauseTime = Annotated[float, Quantity("a time", least=0.0, example="30 s")]
 Age = Annotated[float, Quantity("a time", least=0.0, example="90 d")]
 Rate = Annotated[float, Quantity("a rate", above=0.0)]
 Density = Annotated[float, Quantity("a density", above=0.0)]
+DensityDifference = Annotated[float, Quantity("a density", example="20 kg/m3")]
+"""A density that may be negative."""
 Viscosity = Annotated[float, Quantity("a viscosity", above=0.0)]
 LensPower = Annotated[float, Quantity("a lens power", least=0.0, scale=dpt)]
 """In diopters."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from inspect import signature
-from types import NoneType, UnionType
+from types import NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
@@ -219,15 +219,13 @@ def _joined(kinds: list[Any]) -> Any:
     return Union[tuple(plain)] if plain else None  # noqa: UP007
 
 
+@dataclass(frozen=True, eq=False)
 class OneOrMany:
     """The type of a key that holds a value, or a list or a word; errors refer to what was written."""
 
     one: Any
     many: Any
-    form: Any
-
-    def __init__(self, one: Any, many: Any, form: Any = (list, tuple)) -> None:
-        self.one, self.many, self.form = one, many, form
+    form: Any = (list, tuple)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         one, many = (TypeAdapter(kind, config=Section.model_config) for kind in (self.one, self.many))
@@ -281,17 +279,10 @@ def read(
         context["arrays"] = arrays
     nouns = Nouns([(name, None)])
     try:
-        return nouns.read(table, _Info(context))
+        return nouns.read(table, SimpleNamespace(context=context))
     except ValidationError as error:
         said = (f"{name}.{key_in_words(entry['loc'], table)}{complaint(entry)}" for entry in error.errors())
         raise BadInput("\n".join(said)) from error
-
-
-class _Info:
-    """Validator context of the outermost table."""
-
-    def __init__(self, context: dict[str, Any]) -> None:
-        self.context = context
 
 
 def key_in_words(key: Iterable[str | int], data: Any) -> str:

@@ -201,7 +201,6 @@ class Layout:
         return found
 
     def _unpack(self, span: range, whole: bool, out: np.ndarray | None = None) -> np.ndarray:
-        """Entries of one file."""
         out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<")) if out is None else out
         number = span.start // self.shard
         begin, file = number * self.shard, self.file(number)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import StorageError
-from vamgpu.storage.atomic import explained, replacing
+from vamgpu.storage.atomic import check_folder, explained, replacing
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file
 
@@ -63,8 +62,7 @@ def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) ->
     place = Path(path)
     if place.suffix.lower() != ".mp4":
         raise StorageError(f"cannot write {str(place)!r}: expected a video that ends in .mp4")
-    if not place.parent.is_dir():
-        raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))
+    check_folder(place)
     try:
         with replacing(place) as draft, av.open(str(draft), "w", format="mp4") as film:
             stream: Any = film.add_stream("libx264", rate=Fraction(rate).limit_denominator(1001), options={"crf": "16"})

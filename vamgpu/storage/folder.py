@@ -22,7 +22,7 @@ from vamgpu.storage.reading import is_file, read_text
 
 VERSION = "0.5"
 SPACE = ("x", "y", "z", "row", "column")
-"""Names of axes along which an array reaches through space; others count."""
+"""Names of an array's axes in space; other axes are counters."""
 FIRST = ("dose", "target", "frames")
 """Arrays for a viewer that shows one image, the best first."""
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from io import BytesIO
+from contextlib import redirect_stdout
+from io import BytesIO, StringIO
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +22,22 @@ UP = 2
 
 
 def read_image(path: str | Path) -> np.ndarray:
-    """The gray levels of an image file."""
-    from PIL import Image
+    """The gray levels of an image file without colors."""
+    from PIL import Image, UnidentifiedImageError
 
     data = read_bytes(path, MOST_BYTES)
     try:
         with Image.open(BytesIO(data), formats=("PNG", "TIFF", "JPEG", "BMP")) as image:
             if image.width * image.height > MOST_PIXELS:
                 raise OSError(f"{image.width} × {image.height} pixels, expected {MOST_PIXELS:,} in all at most")
-            return np.asarray(image if image.mode in ("L", "I;16", "I", "F") else image.convert("L"))
+            if image.mode in ("1", "L", "I;16", "I;16B", "I", "F"):
+                return np.asarray(image.convert("L") if image.mode == "1" else image)
+            red, green, blue = image.convert("RGB").split()
+            if not red == green == blue:
+                raise OSError("it has colors, whose light is unknown, expected gray levels: convert it to gray")
+            return np.asarray(red)
+    except UnidentifiedImageError as error:
+        raise OSError("it is none of PNG, TIFF, JPEG and BMP") from error
     except OSError:
         raise
     except Exception as error:  # for damaged files, readers raise many types of errors
@@ -49,7 +57,8 @@ def read_exr(path: str | Path) -> np.ndarray:
         count = (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1)
         if not 0 < count * len(head["channels"]) <= MOST_PIXELS:
             raise OSError(f"{count:,} pixels, expected {MOST_PIXELS:,} in all channels at most")
-        found = OpenEXR.File(BytesIO(data), separate_channels=True, num_threads=0).channels()
+        with redirect_stdout(StringIO()):  # its warnings
+            found = OpenEXR.File(BytesIO(data), separate_channels=True, num_threads=0).channels()
         planes = {name: np.asarray(channel.pixels, np.float32) for name, channel in found.items()}
     except OSError:
         raise

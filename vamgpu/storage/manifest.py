@@ -6,7 +6,7 @@ import json
 import platform
 import re
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -18,7 +18,7 @@ import numpy as np
 
 from vamgpu import __version__
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.storage.reading import parse_json
+from vamgpu.storage.reading import malformed, parse_json
 
 FORMAT = "vamgpu job"
 VERSION = 2
@@ -85,17 +85,13 @@ class Manifest:
                 f"{str(path)!r} has version {data.get('version')!r}, this library reads {READ[0]} to {READ[-1]}; "
                 "read it with the library that wrote it"
             )
-        try:
+        with malformed(f"in {str(path)!r} this is missing or malformed", "the job is damaged, write it again"):
             arrays = {name: _record(name, record) for name, record in data["arrays"].items()}
             known = {name: data[name] for name in ("inputs", "details", "device", "versions", "units", "written")}
             for name, value in known.items():
                 if not isinstance(value, str if name in ("device", "written") else dict):
                     raise TypeError(f"{name}, which is {reprlib.repr(value)}")
             return cls(arrays=arrays, **known)
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise StorageError(
-                f"in {str(path)!r} this is missing or malformed: {error}; the job is damaged, write it again"
-            ) from error
 
 
 def _record(name: str, record: dict[str, Any]) -> ArrayRecord:
@@ -107,10 +103,10 @@ def _record(name: str, record: dict[str, Any]) -> ArrayRecord:
     return ArrayRecord(tuple(shape), plain[0], tuple(axes), *plain[1:])
 
 
-def versions() -> dict[str, str]:
-    """Versions of this library, Python and the packages it computes with, as far as they are installed."""
+def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
+    """Versions of this library, of Python, and of packages as far as they are installed."""
     found = {"vamgpu": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
+    for package in packages:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -23,7 +23,7 @@ def budget() -> int:
     """Largest memory that the contents of one file may take."""
     said = os.environ.get(MEMORY, "").strip()
     if not said:
-        return int(SHARE * _installed())
+        return int(SHARE * installed())
     found = bytes_of(said)
     if found is None:
         raise BadInput(f"{MEMORY} is {said!r}; expected a size such as {MEMORY}=24GB: correct it, or unset it")
@@ -49,7 +49,7 @@ def size(count: float) -> str:
 
 
 @cache
-def _installed() -> int:
+def installed() -> int:
     """Memory of this machine [bytes], or of its container."""
     try:
         found = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

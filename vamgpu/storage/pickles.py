@@ -86,14 +86,6 @@ def _array(data: Any, kind: Any, shape: Any, order: Any = "C") -> np.ndarray:
     return np.frombuffer(data, dtype).reshape(sizes, order="F" if order == "F" else "C")
 
 
-def _reconstruct(*_: Any) -> _Array:
-    return _Array()
-
-
-def _scalar(kind: Any, data: bytes = b"") -> Any:
-    return _array(data, kind, (1,))[0].item()
-
-
 def _from_bytes(data: Any, kind: Any, shape: Any, order: Any = "C", axes: Any = None) -> Any:
     made = _Array()
     made.values = _array(data, kind, shape, order)
@@ -132,8 +124,8 @@ class _Unpickler(pickle.Unpickler):
             ("copy_reg", "_reconstructor"): lambda cls, *_: cls(),
             ("builtins", "object"): object,
             ("__builtin__", "object"): object,
-            **{(root, "_reconstruct"): _reconstruct for root in ROOTS},
-            **{(root, "scalar"): _scalar for root in ROOTS},
+            **{(root, "_reconstruct"): lambda *_: _Array() for root in ROOTS},
+            **{(root, "scalar"): lambda kind, data=b"": _array(data, kind, (1,))[0].item() for root in ROOTS},
             **{(root, "_frombuffer"): _from_bytes for root in NUMERIC},
         }
         if (module, name) in known:
@@ -154,7 +146,7 @@ def read_pickle(path: str | Path, packages: tuple[str, ...] = ()) -> Any:
         raise
     except OSError as error:
         raise StorageError(f"cannot read {str(path)!r}: {error.strerror or error}; check the path") from error
-    except Exception as error:  # noqa: BLE001 - a pickle stumbles over whatever its maker put into its way
+    except Exception as error:  # noqa: BLE001 - a malicious pickle can raise anything
         raise StorageError(
             f"{str(path)!r} is not a pickle of arrays and plain values ({type(error).__name__}: {error}); nothing of "
             "it was run: save the array with numpy.save and import that"

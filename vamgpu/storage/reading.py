@@ -11,6 +11,8 @@ import os
 import re
 import stat
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from errno import EINVAL
 from math import isfinite
 from pathlib import Path
@@ -111,13 +113,13 @@ def parse_toml(text: str) -> dict[str, Any]:
     return data
 
 
-def parse_json(text: str | bytes) -> Any:
+def parse_json(text: str | bytes, *, finite: bool = True) -> Any:
     """The value of a JSON text. Raises `ValueError`."""
     try:
         data = json.loads(text)
     except RecursionError as error:
         raise ValueError(f"more than {MOST_LEVELS} nested objects or lists") from error
-    _check(data, finite=True)
+    _check(data, finite=finite)
     return data
 
 
@@ -143,3 +145,12 @@ def _check(data: Any, finite: bool = False) -> None:
             return
         level = deeper
     raise ValueError(f"more than {MOST_LEVELS} nested tables or lists")
+
+
+@contextmanager
+def malformed(what: str, remedy: str) -> Iterator[None]:
+    """Raise `StorageError` if values in ``what`` are missing or wrong; one that is raised inside stays as it is."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise StorageError(f"{what}: {error}; {remedy}") from error

@@ -21,14 +21,14 @@ UNITS = {
     "irradiance": {"mW/mm2": 1.0, "mW/cm2": 1e-2, "uW/cm2": 1e-5, "W/cm2": 10.0, "W/m2": 1e-3},
     "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
 }
-"""Kind of a column → units in its header, in mm, mJ/mm², mW/mm² and s; all in small letters too, never in capitals."""
+"""Kind of a column → units in its header, in mm, mJ/mm², mW/mm² and s; also in small letters, never in capitals."""
 WORDS = {
     "height": ("height", "depth", "thick"), "exposure": ("exposure", "dose", "energy"),
     "irradiance": ("irradiance", "intensity", "power"), "time": ("time", "exposure", "duration"),
 }  # fmt: skip
-"""Kind → words in a header that tell it from other columns in the same unit."""
+"""Kind → words in a header that distinguish it from other columns in the same unit."""
 SPREADS = re.compile(r"std|\bsd\b|dev|err|uncert|±|_sd\b", re.IGNORECASE)
-"""Columns that say how well another is known."""
+"""Headers of columns that hold the error of another column."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Table:
         return found
 
     def find(self, kind: str) -> np.ndarray | None:
-        """The numbers of the column whose header ends in a unit of a kind, in ours. Raises `BadInput`."""
+        """The numbers of the column with a unit of a kind in its header, in the library's unit. Raises `BadInput`."""
         found = {name: factor for name in self.cells if (factor := _factor(name, UNITS[kind])) is not None}
         close = (name for name in self.cells if _factor(name, UNITS[kind], re.IGNORECASE) is not None)
         if not found and (name := next(close, None)) is not None:
@@ -75,7 +75,7 @@ def read_table(path: str | Path) -> Table:
     """Read a table in UTF-8, UTF-16 or Latin-1: commas, semicolons, tabs, bars or blanks between cells, a header above.
 
     Lines that begin with # are left out. Decimals may have commas if no comma is between cells. Raises `StorageError`,
-    and `BadInput` with the line that has not as many cells as the header.
+    and `BadInput` with the line that has another number of cells than the header.
     """
     file = Path(path)
     try:
@@ -139,7 +139,7 @@ def _mark(lines: list[str], header: int) -> str:
 
 
 def _factor(name: str, units: dict[str, float], flags: int = 0) -> float | None:
-    """The size of the unit that a header ends in; None if it is another. Minutes have brackets: min is also least."""
+    """Size of the unit that ends a header; None if it is another. Minutes need brackets: min also means least."""
     plain = name.translate(RAISED).replace("µ", "u").replace("·", "*")
     for unit, factor in units.items():
         over, _, under = unit.partition("/")

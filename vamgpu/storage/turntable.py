@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import StorageError
 from vamgpu.geometry import Turntable
+from vamgpu.schema import write
+from vamgpu.schema.read import read
+from vamgpu.storage.reading import malformed
 
 
 def described(motion: Turntable) -> dict[str, Any]:
@@ -16,16 +19,18 @@ def described(motion: Turntable) -> dict[str, Any]:
         found["theta"] = list(motion.theta)
     if motion.dwell is not None:
         found["dwell"] = list(motion.dwell)
+    if motion.travel is not None:
+        found["travel"] = write(motion.travel)
     return found
 
 
 def turntable_from(description: Mapping[str, Any]) -> Turntable:
     """Make the turntable from its description; one without a lit share was written for a container at rest."""
-    try:
+    with malformed("the turntable in the manifest is malformed", "write the job again"):
         count, theta, dwell = description["angles"], description.get("theta"), description.get("dwell")
-        motion = Turntable(count if theta is None else theta, dwell, description.get("lit_share", 0.0))
-    except (KeyError, TypeError, AttributeError, BadInput) as error:
-        raise StorageError(f"the turntable in the manifest is malformed: {error}; write the job again") from error
+        path = description.get("travel")
+        travel = None if path is None else read("travel", path, units=False)
+        motion = Turntable(count if theta is None else theta, dwell, description.get("lit_share", 0.0), travel)
     if motion.angles != count:
         raise StorageError(f"the manifest has {count!r} angles, and {motion.angles} measured ones; write the job again")
     return motion

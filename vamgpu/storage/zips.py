@@ -16,6 +16,9 @@ TAIL = 22 + 20 + 56 + (1 << 16)
 DESCRIPTIONS = (re.compile(rb"(?s)PK\x05\x06.{8}(.{4})"), re.compile(rb"(?s)PK\x06\x06.{36}(.{8})"))
 """The description of the list, also for zips of more than 4 GB, and the size of the list in bytes."""
 
+LOCKED = 0x61
+"""Flags of members that are encrypted, or patches of others."""
+
 
 def open_zip(file: BinaryIO) -> ZipFile:
     """Open a zip for reading."""
@@ -24,13 +27,16 @@ def open_zip(file: BinaryIO) -> ZipFile:
     claims = [int.from_bytes(found, "little") for kind in DESCRIPTIONS for found in kind.findall(tail)]
     if any(MOST_DIRECTORY < claim != 2**32 - 1 for claim in claims):
         raise BadZipFile(f"its list of members takes {size(max(claims))}, expected {size(MOST_DIRECTORY)} at most")
-    archive = ZipFile(file)
+    try:
+        archive = ZipFile(file)
+    except NotImplementedError as error:  # a version of the format that nobody has written
+        raise BadZipFile(f"its list of members is damaged ({error})") from error
     try:
         for member in archive.infolist():
             if not member.filename:
                 raise BadZipFile("it has a member without a name")
-            if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED) or member.flag_bits & 1:
-                how = "is encrypted" if member.flag_bits & 1 else f"is packed in way {member.compress_type}"
+            if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED) or member.flag_bits & LOCKED:
+                how = "is encrypted" if member.flag_bits & LOCKED else f"is packed in way {member.compress_type}"
                 raise BadZipFile(f"{member.filename!r} {how}, expected stored or deflated members")
     except BaseException:
         archive.close()

@@ -1,4 +1,4 @@
-"""How requests become calls, and what they return becomes answers."""
+"""Requests as calls of functions, and their results as answers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
-from anyio import to_thread
+from anyio import CapacityLimiter, to_thread
 from pydantic import BaseModel, ValidationError
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
@@ -21,6 +21,8 @@ SILENCE = 10.0
 """Longest pause between two pieces of a body [s]."""
 SLOWEST = 30.0
 """Longest time for a JSON body [s]."""
+THREADS = 16
+"""Largest number of handlers at a time, in threads of their own; those of the print page's buttons stay free."""
 JSON = "application/json"
 Handler = Callable[..., Any]
 
@@ -99,7 +101,9 @@ def answer(
             given |= {name: getattr(asked, name) for name in type(asked).model_fields}
             if body is not None:
                 given["body"] = await _body(request, body)
-            return _answered(await to_thread.run_sync(lambda: handler(**given)), status)
+            state = request.app.state
+            state.limiter = state.limiter or CapacityLimiter(THREADS)
+            return _answered(await to_thread.run_sync(lambda: handler(**given), limiter=state.limiter), status)
         except ClientDisconnect:
             return Response(status_code=400)
         except (VamError, ValueError, MemoryError, OSError, LookupError, TypeError, AttributeError) as error:

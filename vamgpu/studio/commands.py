@@ -7,10 +7,10 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from vamgpu.jobs.curethrough import CurethroughJob
 from vamgpu.jobs.keys import toml_of
-from vamgpu.methods.plan_folder import INTERRUPTED
-from vamgpu.storage.folder import MANIFEST
-from vamgpu.studio.workspace import JOB, PROOF, RESULT, Refused, Workspace
+from vamgpu.jobs.web import is_web_folder
+from vamgpu.studio.workspace import JOB, PROOF, RESULT, Refused, Workspace, kind_of, record_of
 
 ENDINGS = {"png": "-png", "tiff": ".tiff", "npz": ".npz", "mp4": ".mp4", "drtvam": "-drtvam"}
 """Format of an export → end of its name."""
@@ -19,7 +19,7 @@ FOUND = ".orientations.json"
 
 
 class Command:
-    """A task's command line in the workspace, and what it makes. progress: what its progress is recorded beside."""
+    """A task's command line in the workspace, and what it makes. progress: its progress is recorded beside it."""
 
     def __init__(self, workspace: Workspace, request: dict[str, Any]) -> None:
         self._workspace = workspace
@@ -45,19 +45,40 @@ class Command:
 
     def _solve(self, asked: dict[str, Any]) -> list[str]:
         job = self._workspace.existing(asked["job"], JOB)
+        fresh = ["--overwrite"] if asked["fresh"] else []
+        if kind_of(job) == "slices":
+            place = self._workspace.place(CurethroughJob.read(job).beside().name)
+            self.result, page = place.name, f"{place.stem}.html"
+            if place.exists() and not fresh:
+                raise Refused(409, f"{self.result} exists; ask for a fresh correction to replace it")
+            self.made, self.progress = [self.result, page], page
+            return ["curethrough", "correct", job.name, "--out", self.result, "--report", page, *fresh,
+                    *self._settings(asked, "correct")]  # fmt: skip
         self.result = job.with_suffix(RESULT).name
         place = self._workspace.folder / self.result
-        there = (place / MANIFEST).is_file() and not asked["fresh"]
-        if there and INTERRUPTED not in self._workspace.manifest(place).manifest.inputs:
-            raise Refused(409, f"{self.result} is solved; ask for a fresh solution to replace it")
+        state = "interrupted" if fresh or not record_of(place).is_file() else self._workspace.state(place)[0]
+        if state != "interrupted":
+            raise Refused(409, f"{self.result} is {state}; ask for a fresh solution to replace it")
         self.made, self.progress = [self.result], self.result
-        settings = asked["set"] | ({"solve.device": asked["device"]} if asked["device"] else {})
-        pairs = chain.from_iterable(("--set", f"{key}={toml_of(value)}") for key, value in settings.items())
-        fresh = ["--overwrite"] if asked["fresh"] else []
-        return ["solve", job.name, "--out", self.result, "--slices", *fresh, *pairs]
+        return ["solve", job.name, "--out", self.result, "--slices", *fresh, *self._settings(asked, "solve")]
+
+    @staticmethod
+    def _settings(asked: dict[str, Any], table: str) -> list[str]:
+        """Keys of a job that a task replaces."""
+        settings = asked.get("set", {}) | ({f"{table}.device": asked["device"]} if asked["device"] else {})
+        return [*chain.from_iterable(("--set", f"{key}={toml_of(value)}") for key, value in settings.items())]
+
+    def _model(self, asked: dict[str, Any]) -> list[str]:
+        job = self._workspace.existing(asked["job"], JOB)
+        self.made = [f"{job.stem}-model.html"]
+        self.progress = self.made[0]
+        return ["curethrough", "model", job.name, "--report", self.made[0], *self._settings(asked, "correct")]
 
     def _prove(self, asked: dict[str, Any]) -> list[str]:
-        return [*self._proof("", asked), *(["--tolerances"] if asked["tolerances"] else [])]
+        given = self._proof("", asked)
+        page = f"{Path(asked['result']).stem}.html"
+        self.made = list(dict.fromkeys([*self.made, page]))
+        return [*given, "--report", page, *(["--tolerances"] if asked["tolerances"] else [])]
 
     def _expose(self, asked: dict[str, Any]) -> list[str]:
         off = {name: amount for name, amount in asked["off"].items() if amount}
@@ -70,10 +91,14 @@ class Command:
 
     def _proof(self, mark: str, asked: dict[str, Any]) -> list[str]:
         place = self._workspace.existing(asked["result"], RESULT)
-        self.progress = f"{place.stem}{mark}{PROOF}"
-        self.made = [self.progress, f"{place.stem}{mark}.html"]
         device = ["--device", asked["device"]] if asked["device"] else []
-        return ["prove", place.name, "--save", self.progress, "--overwrite", "--report", self.made[1], *device]
+        if is_web_folder(place):
+            self.progress = f"{place.stem}.html"
+            self.made = [self.progress]
+            return ["prove", place.name, *device]
+        self.progress = f"{place.stem}{mark}{PROOF}"
+        self.made = [self.progress]
+        return ["prove", place.name, "--save", self.progress, "--overwrite", *device]
 
     def _orient(self, asked: dict[str, Any]) -> list[str]:
         job = self._workspace.existing(asked["job"], JOB)
@@ -102,17 +127,15 @@ class Command:
         ending = ".dry-run" if dry else ".run"
         names = (place.stem + number + ending for number in chain([""], (f"-{each}" for each in count(2))))
         self.run = next(name for name in names if not (self._workspace.folder / name).exists())
-        self.made = [self.run]
+        self.made, self.progress = [self.run], self.run
         more = [each for key in ("speed", "turns") if asked[key] is not None for each in (f"--{key}", str(asked[key]))]
         how = ["--dry-run"] if dry else ["--panel", *(["--anyway"] if asked["anyway"] else [])]
-        return ["print", place.name, "--rig", asked["rig"], "--out", self.run, *how, *more]
+        live = ["--live"] if asked["live"] else []
+        return ["print", place.name, "--rig", asked["rig"], "--out", self.run, *how, *live, *more]
 
 
 def newest(workspace: Workspace, names: list[str]) -> float:
     """Time of the last change of what a task made [s]; 0 if something is missing."""
-    times = [path.stat().st_mtime if (path := _inside(workspace.folder / name)).exists() else 0.0 for name in names]
-    return min(times, default=0.0)
-
-
-def _inside(path: Path) -> Path:
-    return path / MANIFEST if path.suffix in (RESULT, PROOF) else path
+    made = [workspace.folder / name for name in names]
+    made = [record_of(path) if path.suffix in (RESULT, PROOF) else path for path in made]
+    return min((path.stat().st_mtime if path.exists() else 0.0 for path in made), default=0.0)

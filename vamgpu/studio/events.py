@@ -13,9 +13,9 @@ from threading import Lock
 from typing import Any
 
 KEPT = 2000
-"""Events that a page can have missed."""
+"""Largest number of events that a page may have missed."""
 PERIOD, SILENCE = 0.1, 15.0
-"""Time between two looks for events, and after which a comment keeps a connection open [s]."""
+"""Time between two polls for events, and time after which a comment keeps a connection open [s]."""
 
 
 class Events:
@@ -34,7 +34,7 @@ class Events:
             self._kept.append((self._last, f"id: {self._boot}-{self._last}\nevent: {name}\ndata: {text}\n\n"))
 
     def _begin(self, last: str | None) -> tuple[int, str]:
-        """Number of the last event that a page knows, and what it must be told first."""
+        """Number of the last event that a page knows, and the text to send it first."""
         boot, _, number = (last or "").partition("-")
         with self._lock:
             first = self._kept[0][0] if self._kept else self._last + 1

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
-from vamgpu.jobs.model import JobFile
+from vamgpu.jobs.keys import FILES
 from vamgpu.quantity import SPELLINGS
 from vamgpu.schema.explain import Key, first_of, keys, kinds_of, what
 from vamgpu.schema.noun import quantity_in
@@ -23,11 +23,14 @@ WORDS: dict[Any, str] = {str: "text", int: "count", float: "number", bool: "bool
 
 
 @cache
-def form() -> dict[str, Any]:
-    """Tables of job files, and the components that tables may hold."""
+def form(kind: str = "vial") -> dict[str, Any]:
+    """Tables of the files of a kind of job, and the components that tables may hold."""
     components = {f"{family}.{kind}": _component(find(family, kind)) for family, members in families().items()
                   for kind in members.nouns if not family.startswith("rig_")}  # fmt: skip
-    return {"tables": [_table(name, field) for name, field in JobFile.model_fields.items()], "components": components}
+    return {
+        "tables": [_table(name, field) for name, field in FILES[kind].model_fields.items()],
+        "components": components,
+    }
 
 
 def _component(cls: type[Any]) -> dict[str, Any]:
@@ -57,12 +60,13 @@ def _keys(table: type[Any]) -> list[dict[str, Any]]:
 def _key(key: Key, kind: Any) -> dict[str, Any]:
     quantity = quantity_in(kind)
     bounds = {name: None for name in ("least", "above", "most", "below")}
+    shown = "" if quantity is None else quantity.example.rpartition(" ")[2] or quantity.unit  # pixels are typed in µm
     if quantity is not None:
-        unit = quantity.scale / NAMES[quantity.unit] if quantity.unit else 1.0
+        unit = quantity.scale / NAMES[shown] if shown else 1.0
         bounds = {name: limit * unit if isfinite(limit := getattr(quantity, name)) else None for name in bounds}
     literal = next((part for part in _parts(kind) if get_origin(part) is Literal), None)
     return {"name": key.name, "type": _type(kind, quantity, literal), "what": key.what, "doc": key.doc,
-            "unit": quantity.unit if quantity else "", "required": not key.default,
+            "unit": shown, "required": not key.default,
             "units": list(SPELLINGS[quantity.kind]) if quantity and quantity.kind else [],
             "choices": list(get_args(literal)), "default": key.default.replace("left out", ""), **bounds}  # fmt: skip
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -75,7 +74,9 @@ class Prints:
                 with suppress(StorageError):
                     watch = attached(place, board)
             if watch is None:
-                self._ended(board, place)
+                with suppress(OSError, ValueError, KeyError):
+                    told = parse_json(read_text(place / "state.json"))
+                    board.show(state=PrintState(told["state"]), message=str(told["message"]))
             else:
                 with suppress(VamError):
                     watch.viewed(watch.order.planned())
@@ -84,12 +85,6 @@ class Prints:
             if before is not None:
                 before.__exit__(None)
         return self.now()
-
-    @staticmethod
-    def _ended(board: Board, place: Path) -> None:
-        with suppress(OSError, ValueError, KeyError):
-            told = parse_json(read_text(place / "state.json"))
-            board.show(state=PrintState(told["state"]), message=str(told["message"]))
 
     def follow(self, run: str | None) -> bool:
         """Attach once to a run as soon as its process prints it; returns whether the page changed."""
@@ -100,7 +95,7 @@ class Prints:
         return True
 
     def close(self) -> None:
-        """Leave the run, which goes on."""
+        """Leave the run, which continues."""
         if self._watch is not None:
             self._watch.__exit__(None)
 

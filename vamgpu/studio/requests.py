@@ -76,6 +76,11 @@ class Solve(Device):
     set: Values = {}
 
 
+class Model(Device):
+    kind: Literal["model"]
+    job: Name
+
+
 class Prove(Device):
     kind: Literal["prove"]
     result: Name
@@ -116,6 +121,7 @@ class Rehearse(Strict):
     rig: Name
     speed: Annotated[str, Field(pattern=r"^[0-9.]+( ?[a-z/]+)?$", max_length=20)] | None = None
     turns: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    live: bool = False
 
 
 class Print(Rehearse):
@@ -124,9 +130,10 @@ class Print(Rehearse):
     confirm: Name
 
 
-class Task(
-    RootModel[Annotated[Solve | Prove | Expose | Orient | Export | Rehearse | Print, Field(discriminator="kind")]]
-):
+AnyTask = Solve | Model | Prove | Expose | Orient | Export | Rehearse | Print
+
+
+class Task(RootModel[Annotated[AnyTask, Field(discriminator="kind")]]):
     """One of the tasks, by its kind."""
 
 
@@ -161,6 +168,16 @@ class Surface(Exposure):
 
 class Frame(Query):
     index: Annotated[int, Field(ge=0, le=10_000_000)]
+    plane: Annotated[int, Field(ge=0, le=1000)] | None = None
+
+
+class StackSlice(Query):
+    of: Literal["before", "after"] = "before"
+    index: Annotated[int, Field(ge=0, le=10_000_000)]
+
+
+class StackReport(Query):
+    of: Literal["model", "correct"] = "correct"
 
 
 class Sinogram(Query):
@@ -179,6 +196,10 @@ class Upload(Query):
 class Compare(Query):
     a: Name
     b: Name
+
+
+class Kind(Query):
+    kind: Literal["vial", "web", "slices"] = "vial"
 
 
 class Speed(Query):

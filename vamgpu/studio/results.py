@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping
 from math import ceil
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vamgpu.errors import StorageError
 from vamgpu.geometry import Grid
+from vamgpu.jobs.web import is_web_folder
 from vamgpu.methods.plan_folder import PlanRecord
 from vamgpu.metrics.parts import IN, OUT
 from vamgpu.printing import pictures, surface
 from vamgpu.storage.folder import Folder
 from vamgpu.storage.reading import read_bytes
+from vamgpu.studio import films
 from vamgpu.studio.tasks import thinned
-from vamgpu.studio.volumes import Arrays, Volumes
-from vamgpu.studio.workspace import PROOF, RESULT, Refused, Workspace, stamp
+from vamgpu.studio.volumes import Arrays, Volumes, png
+from vamgpu.studio.workspace import PROOF, RESULT, Refused, Workspace, record_of, stamp
 
 AXES = {"x": 0, "y": 1, "z": 2}
 SLAB = 1 << 22
@@ -33,62 +33,60 @@ class Results:
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._volumes = workspace, Volumes()
 
-    # ---- folders -------------------------------------------------------------------------------------------------
-    def _proof(self, name: str, proof: str | None) -> Folder:
-        """The proof of a result, or one of its exposures with errors. Raises `Refused`."""
+    def _proof(self, name: str, proof: str | None) -> tuple[Folder, float, Grid]:
+        """A result's proof, or one with errors, its threshold and grid. Raises `Refused`, `StorageError`."""
         place = self._workspace.existing(name, RESULT)
-        if proof is not None:
-            if not proof.startswith(f"{place.stem}.off-"):
-                raise Refused(404, f"there is no exposure {proof!r} of {name}; reload the result")
-            return self._workspace.manifest(self._workspace.existing(proof, PROOF))
-        found = self._workspace.proof_of(place)
+        if proof is not None and not proof.startswith(f"{place.stem}.off-"):
+            raise Refused(404, f"there is no exposure {proof!r} of {name}; reload the result")
+        found = self._workspace.proof_of(place) if proof is None else self._workspace.existing(proof, PROOF)
         if found is None:
             raise Refused(404, f"{name} {NO_PROOF}")
-        return self._workspace.manifest(found)
-
-    def _limits(self, folder: Folder) -> tuple[float, float, Grid]:
-        """Threshold, pitch and grid of a proof. Raises `StorageError`."""
+        folder = self._workspace.manifest(found)
         try:
             table = next(_grids(folder.manifest.inputs["geometry"]))
             grid = Grid(tuple(table["shape"]), float(table["pitch"]))
-            return float(folder.manifest.details["proof"]["scores"]["threshold"]) or 1.0, grid.pitch, grid
+            return folder, float(folder.manifest.details["proof"]["scores"]["threshold"]) or 1.0, grid
         except (KeyError, TypeError, ValueError, StopIteration) as error:
             raise StorageError(f"the proof {folder.path.name!r} lacks {error}; prove the job again") from error
 
-    # ---- numbers -------------------------------------------------------------------------------------------------
     def described(self, name: str, proof: str | None = None) -> dict[str, Any]:
-        """Everything about a result that is small."""
+        """All data of a result that are small."""
         place = self._workspace.existing(name, RESULT)
-        state, _ = self._workspace.state(place)
+        state, verdict = self._workspace.state(place)
         found: dict[str, Any] = {
-            "id": name, "state": state, "job": None, "modified": stamp(place / "manifest.json")[1] / 1e9,
+            "id": name, "state": state, "kind": "vial", "job": None, "modified": stamp(record_of(place))[1] / 1e9,
             "verdict": None, "lines": [], "scores": None, "seconds": None, "pitch": None, "shape": None,
             "radius": None, "outer": None, "tolerances": None, "frames": None, "history": thinned([]),
-            "exposed": list(self._exposed(place)), "report": None,
+            "exposed": [{"proof": name, "off": name.removeprefix(f"{place.stem}.off-").removesuffix(PROOF)}
+                        for name in sorted(each.name for each in place.parent.glob(f"{place.stem}.off-*{PROOF}"))],
+            "report": None,
         }  # fmt: skip
         if (place.with_suffix(".toml")).is_file():
             found["job"] = place.with_suffix(".toml").name
         if place.with_suffix(".html").is_file():
             found["report"] = f"/api/v1/results/{name}/report"
-        if state in ("web", "damaged"):
+        if state == "damaged":
             return found
+        if is_web_folder(place):
+            return found | films.described(self._workspace.web(place)) | {"kind": "web", "verdict": verdict}
         folder = self._workspace.manifest(place)
         record = folder.manifest.inputs.get("plan")
         found["history"] = thinned([dict(step) for step in PlanRecord.read(record).history] if record else [])
         found["frames"] = self._frames(folder)
         if state == "proved" or proof is not None:
-            found |= self._judged(self._proof(name, proof))
+            found |= self._judged(*self._proof(name, proof))
         return found
 
-    def _judged(self, folder: Folder) -> dict[str, Any]:
-        details, (threshold, pitch, grid) = folder.manifest.details, self._limits(folder)
+    @staticmethod
+    def _judged(folder: Folder, threshold: float, grid: Grid) -> dict[str, Any]:
+        details = folder.manifest.details
         judged, numbers = details.get("judged") or {}, details["proof"]
         scores, outer, exposure = numbers["scores"], numbers.get("outer"), numbers.get("exposure")
         kept = ("threshold", "peak", "missing", "excess", "in_voxels", "out_voxels", "iou")
         return {
             "verdict": judged.get("verdict"), "lines": judged.get("lines", []), "tolerances": judged.get("tolerances"),
             "scores": {key: scores.get(key) for key in kept} | {"window": scores.get("windows", {}).get("strict")},
-            "seconds": exposure and exposure.get("seconds"), "pitch": pitch, "shape": list(grid.shape),
+            "seconds": exposure and exposure.get("seconds"), "pitch": grid.pitch, "shape": list(grid.shape),
             "radius": grid.inscribed_radius,
             "outer": outer and {"share": float(outer["dose"]) / threshold, "place": outer["place"]},
         }  # fmt: skip
@@ -97,10 +95,6 @@ class Results:
         (count, rows, columns), details = folder.record("frames").shape, folder.manifest.details.get("frames") or {}
         return {"count": count, "rows": details.get("rows", rows), "columns": details.get("columns", columns),
                 "bits": details.get("bits"), "scale": details.get("scale")}  # fmt: skip
-
-    def _exposed(self, place: Path) -> Iterator[dict[str, Any]]:
-        for each in sorted(place.parent.glob(f"{place.stem}.off-*{PROOF}")):
-            yield {"proof": each.name, "off": each.name.removeprefix(f"{place.stem}.off-").removesuffix(PROOF)}
 
     def compare(self, first: str, second: str) -> dict[str, Any]:
         """Numbers and keys of two results beside each other."""
@@ -122,11 +116,9 @@ class Results:
             raise Refused(404, f"{name} has no report; prove it first")
         return read_bytes(place)
 
-    # ---- volumes -------------------------------------------------------------------------------------------------
     def slice(self, name: str, proof: str | None, of: str, axis: str, index: int, dose: float) -> Arrays:
         """A slice as it is drawn."""
-        folder = self._proof(name, proof)
-        (threshold, _, grid), along = self._limits(folder), AXES[axis]
+        (folder, threshold, grid), along = self._proof(name, proof), AXES[axis]
         if index >= grid.shape[along]:
             raise Refused(400, f"got slice {index} along {axis}; expected 0 to {grid.shape[along] - 1}")
         plane = {what: np.take(self._volumes.of(folder, what), index, along) for what in ("dose", "target")
@@ -148,8 +140,7 @@ class Results:
 
     def volume(self, name: str, proof: str | None, of: str, most: int, dtype: str) -> Arrays:
         """A volume for the page, at most ``most`` voxels along an edge."""
-        folder = self._proof(name, proof)
-        threshold, pitch, grid = self._limits(folder)
+        folder, threshold, grid = self._proof(name, proof)
         block = ceil(max(grid.shape) / most)
         whole = self._volumes.of(folder, of)
         parts = [surface.block_mean(np.asarray(whole[k : k + block], np.float32), block)
@@ -157,8 +148,8 @@ class Results:
         values = np.concatenate(parts).transpose(2, 1, 0) / (threshold if of == "dose" else 1.0)
         full = float(values.max()) or 1.0 if dtype == "uint8" else 1.0
         stored = np.round(np.clip(values / full, 0.0, 1.0) * 255.0) if dtype == "uint8" else values
-        low = [float(axis[0]) - 0.5 * pitch for axis in grid.axes()]
-        return Arrays({"values": stored.astype(dtype)}, {"pitch": block * pitch, "left": low[0], "bottom": low[1],
+        low = [float(axis[0]) - 0.5 * grid.pitch for axis in grid.axes()]
+        return Arrays({"values": stored.astype(dtype)}, {"pitch": block * grid.pitch, "left": low[0], "bottom": low[1],
                                                          "low": low[2], "full": full})  # fmt: skip
 
     def _classes(self, folder: Folder, grid: Grid) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -172,8 +163,7 @@ class Results:
 
     def histogram(self, name: str, proof: str | None, bins: int) -> Arrays:
         """Voxels per bin of dose."""
-        folder = self._proof(name, proof)
-        threshold, _, grid = self._limits(folder)
+        folder, threshold, grid = self._proof(name, proof)
         edges = np.linspace(0.0, float(self._volumes.of(folder, "dose").max()) or 1.0, bins + 1)
         counts = np.zeros((2, bins), np.uint32)
         for some in self._classes(folder, grid):
@@ -184,8 +174,7 @@ class Results:
 
     def exposure(self, name: str, proof: str | None, dose: float) -> dict[str, Any]:
         """What would print with another exposure."""
-        folder = self._proof(name, proof)
-        threshold, _, grid = self._limits(folder)
+        folder, threshold, grid = self._proof(name, proof)
         missing = excess = inside = 0
         for out, part in self._classes(folder, grid):
             missing += int((part * dose < threshold).sum())
@@ -197,14 +186,13 @@ class Results:
 
     def surface(self, name: str, proof: str | None, of: str, dose: float) -> Arrays:
         """The surface of the part, of its print, or of resin that also prints beyond the judged cylinder."""
-        folder = self._proof(name, proof)
-        threshold, pitch, grid = self._limits(folder)
-        part = surface.iso_surface(np.asarray(self._volumes.of(folder, "target")), 0.5, pitch)
+        folder, threshold, grid = self._proof(name, proof)
+        part = surface.iso_surface(np.asarray(self._volumes.of(folder, "target")), 0.5, grid.pitch)
         found, far = part, np.zeros(len(part.points))
         if of == "printed":
             cylinder = grid.cylinder()[:, :, None]
             found = surface.iso_surface(
-                np.where(cylinder, self._volumes.of(folder, "dose"), 0.0), threshold / dose, pitch
+                np.where(cylinder, self._volumes.of(folder, "dose"), 0.0), threshold / dose, grid.pitch
             )
             far = surface.deviation(found, part)
         elif of == "stray":
@@ -214,16 +202,18 @@ class Results:
             found, far = surface.Surface(points, surface.vertex_normals(points, faces), faces), np.zeros(len(points))
         arrays = {"positions": found.points, "normals": found.normals, "deviation": far}
         return Arrays({key: values.astype(np.float32) for key, values in arrays.items()}
-                      | {"indices": found.faces.astype(np.uint32)}, {"pitch": pitch})  # fmt: skip
+                      | {"indices": found.faces.astype(np.uint32)}, {"pitch": grid.pitch})  # fmt: skip
 
-    # ---- frames --------------------------------------------------------------------------------------------------
-    def frame(self, name: str, index: int) -> bytes:
-        """One frame as PNG."""
-        folder = self._workspace.manifest(self._workspace.existing(name, RESULT))
+    def frame(self, name: str, index: int, plane: int | None = None) -> bytes:
+        """One frame as PNG; of a web also the columns that one focus plane shows."""
+        place = self._workspace.existing(name, RESULT)
+        if is_web_folder(place):
+            return png(films.frame(self._workspace.web(place), index, plane))
+        folder = self._workspace.manifest(place)
         count = folder.record("frames").shape[0]
         if index >= count:
             raise Refused(400, f"got frame {index}; expected 0 to {count - 1}")
-        return _png(_shown(folder, folder.one("frames", index)))
+        return png(_shown(folder, folder.one("frames", index)))
 
     def sinogram(self, name: str, row: int | None) -> bytes:
         """One row of all frames as PNG [angle, column]."""
@@ -232,7 +222,7 @@ class Results:
         row = rows // 2 if row is None else row
         if row >= rows:
             raise Refused(400, f"got row {row}; expected 0 to {rows - 1}")
-        return _png(_shown(folder, self._volumes.of(folder, "frames")[:, row]))
+        return png(_shown(folder, self._volumes.of(folder, "frames")[:, row]))
 
 
 def _grids(geometry: Any) -> Iterator[Mapping[str, Any]]:
@@ -261,11 +251,3 @@ def _shown(folder: Folder, rows: np.ndarray) -> np.ndarray:
         return 255 * np.unpackbits(rows, axis=-1)[..., :columns] if details.get("bits") == 1 else rows
     full = float(details.get("scale") or rows.max()) or 1.0
     return np.round(255.0 * np.clip(rows / full, 0.0, 1.0) ** (1.0 / pictures.GAMMA)).astype(np.uint8)
-
-
-def _png(levels: np.ndarray) -> bytes:
-    from PIL import Image
-
-    held = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(levels)).save(held, "png")
-    return held.getvalue()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import mimetypes
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AbstractContextManager, asynccontextmanager
 from importlib.resources import files
 from typing import Any
 
-from anyio import to_thread
+from anyio import CancelScope, to_thread
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
@@ -16,12 +17,13 @@ from starlette.routing import Mount, Route
 
 from vamgpu.errors import VamError
 from vamgpu.hosts.panel.routes import SANDBOX
+from vamgpu.jobs.edit import edited
 from vamgpu.jobs.keys import schema_of
 from vamgpu.storage.atomic import replacing
 from vamgpu.studio import requests as ask
 from vamgpu.studio.answers import answer, explained, pieces, refused
 from vamgpu.studio.forms import form
-from vamgpu.studio.parts import MOST_BYTES
+from vamgpu.studio.parts import MOST_BYTES, Mesh
 from vamgpu.studio.server import Engine
 from vamgpu.studio.volumes import Arrays
 from vamgpu.studio.workspace import JOB, RESULT, Refused
@@ -41,7 +43,9 @@ def app(engine: Engine) -> Starlette:
     inside = [*_files(api), *_jobs(api), *_tasks(api), *_results(api), *_prints(api)]
     routes = [Route("/", api.page), Route("/static/{path:path}", api.static), Mount("/print", engine.prints),
               Mount("/api/v1", routes=inside)]  # fmt: skip
-    return Starlette(routes=routes, exception_handlers={HTTPException: _unrouted})
+    made = Starlette(routes=routes, exception_handlers={HTTPException: _unrouted})
+    made.state.limiter = None  # made by the first request, in its loop
+    return made
 
 
 async def _unrouted(_: Request, error: Any) -> Response:
@@ -75,14 +79,15 @@ def _jobs(api: _Api) -> list[Route]:
     texts, presets = api.engine.texts, api.engine.presets
     return [
         _post("/jobs/check", lambda body: texts.checked(body.text), ask.Check),
-        _post("/jobs/edit", lambda body: texts.edit(body.text, body.set, body.remove), ask.Edit),
+        _post("/jobs/edit", lambda body: texts.checked(edited(body.text, body.set, body.remove)), ask.Edit),
         _post("/jobs", api.new_job, ask.NewJob, 201),
         _get("/jobs/{name}", lambda name: texts.read(name)),
         Route("/jobs/{name}", answer(lambda name, body: texts.save(name, body.text, body.etag), ask.Save),
               methods=["PUT"]),
         _post("/jobs/{name}/copy", api.copy, ask.Copy, 201),
         _get("/jobs/{name}/scene", lambda name: texts.scene(name)), _get("/jobs/{name}/mesh", api.mesh, ask.Triangles),
-        _get("/schema", form), _get("/schema.json", lambda: schema_of("vial")), _get("/presets", presets.all),
+        _get("/schema", form, ask.Kind), _get("/schema.json", lambda kind: schema_of(kind), ask.Kind),
+        _get("/presets", presets.all),
         _post("/presets", lambda body: presets.add(body.family, body.name, body.source, body.set), ask.Preset, 201),
         _delete("/presets/{family}/{name}", presets.remove),
     ]  # fmt: skip
@@ -102,15 +107,18 @@ def _tasks(api: _Api) -> list[Route]:
 
 
 def _results(api: _Api) -> list[Route]:
-    results, head = api.engine.results, "/results/{name}"
+    results, stacks, head = api.engine.results, api.engine.stacks, "/results/{name}"
     png = "image/png"
     return [
         _get(head, results.described, ask.Looked), _get(f"{head}/slice", results.slice, ask.Slice),
         _get(f"{head}/volume", results.volume, ask.Volume), _get(f"{head}/histogram", results.histogram, ask.Bins),
         _get(f"{head}/exposure", results.exposure, ask.Exposure), _get(f"{head}/surface", results.surface, ask.Surface),
-        _get(f"{head}/frame", lambda name, index: Response(results.frame(name, index), media_type=png), ask.Frame),
+        _get(f"{head}/frame", lambda name, **given: Response(results.frame(name, **given), media_type=png), ask.Frame),
         _get(f"{head}/sinogram", lambda name, row: Response(results.sinogram(name, row), media_type=png), ask.Sinogram),
         _get(f"{head}/report", lambda name: _page(results.report(name))),
+        _get("/stacks/{name}", stacks.described),
+        _get("/stacks/{name}/slice", lambda **given: Response(stacks.slice(**given), media_type=png), ask.StackSlice),
+        _get("/stacks/{name}/report", lambda name, of: _page(stacks.report(name, of)), ask.StackReport),
         _get("/compare", lambda a, b: results.compare(a, b), ask.Compare),
     ]  # fmt: skip
 
@@ -125,8 +133,10 @@ def _prints(api: _Api) -> list[Route]:
 
 
 def _page(content: bytes) -> Response:
-    """A report, which runs its own script without access to this page."""
-    return Response(content, media_type="text/html", headers={"content-security-policy": SANDBOX})
+    """A report, which runs its own script without access to this page, and may stand in a frame of it."""
+    policy = SANDBOX.replace("frame-ancestors 'none'", "frame-ancestors 'self'")
+    headers = {"content-security-policy": policy, "x-frame-options": "SAMEORIGIN"}
+    return Response(content, media_type="text/html", headers=headers)
 
 
 class _Api:
@@ -172,14 +182,15 @@ class _Api:
             place = self.engine.workspace.place(asked.name, *FORMATS)
             if place.is_symlink() or (place.exists() and not asked.overwrite):
                 raise Refused(409, f"{asked.name} exists; allow to overwrite it, or choose another name")
-            with replacing(place, overwrite=asked.overwrite) as draft:
-                with draft.open("wb") as file:
+            async with _threaded(replacing(place, overwrite=asked.overwrite)) as draft:
+                async with _threaded(draft.open("wb")) as file:
                     async for piece in pieces(request, MOST_BYTES):
                         await to_thread.run_sync(file.write, piece)
                 if not draft.stat().st_size:
                     raise Refused(400, f"{asked.name} is empty; expected a mesh")
                 await to_thread.run_sync(self.engine.texts.part, draft)  # one that cannot be read is not kept
-            return await answer(self.part, status=201)(_renamed(request, asked.name))
+            plain = Request({**request.scope, "path_params": {"name": asked.name}, "query_string": b""})
+            return await answer(self.part, status=201)(plain)
         except ClientDisconnect:
             return Response(status_code=400)
         except (VamError, ValueError, MemoryError, OSError) as error:
@@ -195,11 +206,12 @@ class _Api:
     def part_mesh(self, name: str, most: int) -> Arrays:
         """Triangles of a part."""
         part = self.engine.texts.part(self.engine.workspace.existing(name, *FORMATS), most)
-        return _mesh(part, part.mesh.positions)
+        return _mesh(part.mesh, part.mesh.positions, part.triangles)
 
     def mesh(self, name: str, most: int) -> Arrays:
         """Triangles of a job's part where the job places it."""
-        return _mesh(*self.engine.texts.mesh(name, most))
+        found = self.engine.texts.mesh(name, most)
+        return _mesh(found.mesh, found.positions, found.triangles, found.bodies)
 
     def new_job(self, body: ask.NewJob) -> dict[str, Any]:
         """A new job file from presets."""
@@ -237,14 +249,22 @@ class _Api:
         return FileResponse(path, filename=name, media_type="application/octet-stream")
 
 
-def _mesh(part: Any, positions: Any) -> Arrays:
-    arrays = {"positions": positions.astype("float32"), "indices": part.mesh.indices}
-    return Arrays(arrays, {"triangles": part.triangles, "shown": len(part.mesh.indices), "cell": part.mesh.cell})
+def _mesh(mesh: Mesh, positions: Any, triangles: int, bodies: Sequence[dict[str, Any]] = ()) -> Arrays:
+    arrays = {"positions": positions.astype("float32"), "indices": mesh.indices, "owner": mesh.owner}
+    return Arrays(arrays, {"triangles": triangles, "shown": len(mesh.indices), "cell": mesh.cell, "bodies": bodies})
 
 
-def _renamed(request: Request, name: str) -> Request:
-    """The same request for a part of that name, without a query."""
-    return Request({**request.scope, "path_params": {"name": name}, "query_string": b""})
+@asynccontextmanager
+async def _threaded(manager: AbstractContextManager[Any]) -> AsyncIterator[Any]:
+    """A context whose begin and end wait for the disk, in threads."""
+    value = await to_thread.run_sync(manager.__enter__)
+    try:
+        yield value
+    except BaseException as error:
+        with CancelScope(shield=True):
+            await to_thread.run_sync(manager.__exit__, type(error), error, error.__traceback__)
+        raise
+    await to_thread.run_sync(manager.__exit__, None, None, None)
 
 
 def _walked(folder: Any, above: tuple[str, ...] = ()) -> Any:

@@ -16,13 +16,14 @@ from vamgpu.studio.events import Events
 from vamgpu.studio.presets import Presets
 from vamgpu.studio.prints import Prints
 from vamgpu.studio.results import Results
+from vamgpu.studio.stacks import Stacks
 from vamgpu.studio.tasks import Tasks
 from vamgpu.studio.texts import Texts
-from vamgpu.studio.workspace import OWN, Workspace
+from vamgpu.studio.workspace import Workspace
 
 log: logging.Logger = logging.getLogger(__name__)
 PERIOD = 0.5
-"""Time between two looks at the tasks and the folder [s]."""
+"""Time between two polls of the tasks and the folder [s]."""
 LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
@@ -34,14 +35,14 @@ class Engine:
     texts: Texts
     results: Results
     prints: Prints
-    revision: int
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace, self.events = workspace, Events()
         self.tasks: Tasks = Tasks(workspace, self.events.publish)
         self.texts, self.results, self.prints = Texts(workspace), Results(workspace), Prints(workspace)
+        self.stacks: Stacks = Stacks(workspace)
         self.presets: Presets = Presets(workspace.own / "presets.toml")
-        self.revision = 0
+        self.revision: int = 0
         self._seen: frozenset[Any] = frozenset()
         self._devices: list[dict[str, str]] | None = None
         self._asked = threading.Lock()
@@ -62,15 +63,15 @@ class Engine:
         self.events.publish("devices", {})
 
     def watch(self) -> None:
-        """Poll until `close`; an error in one look does not end the watch."""
+        """Poll until `close`; an error in one poll does not end the watch."""
         while not self._over.wait(PERIOD):
             try:
                 self.look()
             except Exception as error:
-                log.error("a look at the workspace failed: %r", error)
+                log.error("polling the workspace failed: %r", error)
 
     def look(self) -> None:
-        """One look at the tasks, the folder and a print that began."""
+        """Poll the tasks, the folder and a print that began."""
         self.tasks.poll()
         seen = frozenset(self._changes())
         if seen != self._seen:
@@ -81,30 +82,18 @@ class Engine:
 
     def _changes(self) -> Any:
         for entry in os.scandir(self.workspace.folder):
-            if entry.name != OWN and ".partial-" not in entry.name and not entry.name.startswith("."):
+            if ".partial-" not in entry.name and not entry.name.startswith("."):
                 found = entry.stat(follow_symlinks=False)
                 yield entry.name, found.st_mtime_ns, found.st_ino
 
     def close(self) -> None:
-        """End the watch; tasks and prints go on."""
+        """End the watch; tasks and prints continue."""
         self._over.set()
         self.prints.close()
 
 
 class Studio(PageServer):
-    """A server of Studio for one workspace; a context manager.
-
-    Args:
-        given: The workspace, or a job file, mesh or job folder in it, which the page opens.
-        host: The address to serve at, of this machine only.
-        port: Port of the server; 0 selects a free one.
-        token: Token for browsers and programs, 16 characters or more; None generates one.
-
-    Raises:
-        BadInput: An argument is invalid.
-        StorageError: The workspace cannot be used, or another Studio serves it.
-        DeviceError: The extra is missing, the port is taken, or the server does not start.
-    """
+    """A server of Studio for one workspace; a context manager; arguments and errors as `Workspace` and `PageServer`."""
 
     engine: Engine
 

@@ -20,21 +20,20 @@ import numpy as np
 
 from vamgpu.errors import VamError
 from vamgpu.jobs.progress import STEP, STOPPED, RunProgress, slice_path
-from vamgpu.jobs.run import is_interrupted
 from vamgpu.storage.atomic import locked, replacing
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.reading import parse_json, read_text
 from vamgpu.studio.commands import Command, newest
-from vamgpu.studio.workspace import Refused, Workspace
+from vamgpu.studio.workspace import RESULT, Refused, Workspace
 
 POINTS = 500
-"""Points of a history."""
+"""Largest number of points of a history."""
 PATIENCE = 10.0
 """Time after which a second request to cancel kills a task [s]."""
 TAIL = 65536
 """Bytes of a log that are shown."""
 MOST = 1000
-"""Tasks in the list."""
+"""Largest number of tasks in the list."""
 ENDED = ("done", "failed", "cancelled")
 
 
@@ -106,7 +105,7 @@ class Tasks:
             "id": task.id, "kind": task.request["kind"], "state": task.state, "added": task.added,
             "began": task.began, "ended": task.ended, "status": task.status, "message": task.message,
             "device": task.request.get("device"), "request": task.request, "progress": task.shown,
-            "resumable": resumable and is_interrupted(self._workspace.folder / result),
+            "resumable": resumable and self._workspace.is_interrupted(self._workspace.folder / result),
             **{key: facts.get(key) for key in ("job", "result", "rig", "run")},
             "made": facts["made"] if task.state == "done" else [],
         }  # fmt: skip
@@ -137,7 +136,7 @@ class Tasks:
         return task
 
     def cancel(self, name: str) -> Task:
-        """Take a task off the queue, or stop it as Ctrl-C does; a second request, after a while, kills it."""
+        """Remove a task from the queue, or stop it as Ctrl-C does; a second request, after a while, kills it."""
         with self._lock:
             task = self.one(name)
             if task.state == "queued":
@@ -155,14 +154,14 @@ class Tasks:
         return task
 
     def resume(self, name: str) -> Task:
-        """A new task that goes on where one stopped. Raises `Refused`."""
+        """A new task that continues where one stopped. Raises `Refused`."""
         task = self.one(name)
         if not self.described(task)["resumable"]:
-            raise Refused(409, "there is nothing to go on with; start the task anew")
+            raise Refused(409, "there is nothing to continue; start the task again")
         return self.add(task.request | {"fresh": False})
 
     def remove(self, name: str) -> None:
-        """Take an ended task off the list. Raises `Refused`."""
+        """Remove an ended task from the list. Raises `Refused`."""
         with self._lock:
             task = self.one(name)
             if task.state not in ENDED:
@@ -196,9 +195,8 @@ class Tasks:
             raise Refused(404, "the run has no slice yet; ask again when its count has grown")
         return np.array(map_npy(place))
 
-    # ---- in the thread that watches ------------------------------------------------------------------------------
     def poll(self) -> None:
-        """Note what ended and how far the others are, and start what may start."""
+        """Record which tasks ended and the progress of the others, and start the next ones."""
         with self._lock:
             for task in list(self._known.values()):
                 if task.state in ("running", "cancelling"):
@@ -243,7 +241,7 @@ class Tasks:
             return False
 
     def _look(self, task: Task) -> None:
-        alive = self._alive(task)  # before the progress, which may end in between
+        alive = self._alive(task)  # before reading the progress, which may end in between
         progress, before = self._read(task), task.shown
         task.shown = None if not progress.pid else {
             "stage": progress.stage, "said": progress.said, "share": progress.share, "left": progress.left,
@@ -268,7 +266,8 @@ class Tasks:
         said = progress.verdict["sentence"] if progress.verdict else lines[-1] if lines else ""
         if not task.message:
             task.message = "\n".join(errors) if errors and task.state == "failed" else said
-        if task.state == "done" and task.request["kind"] == "solve" and task.request["prove"]:
+        solved = task.state == "done" and task.request["kind"] == "solve" and task.facts["result"].endswith(RESULT)
+        if solved and task.request["prove"]:
             with suppress(VamError):
                 self.add({"kind": "prove", "result": task.facts["result"], "device": task.request["device"],
                           "tolerances": False})  # fmt: skip

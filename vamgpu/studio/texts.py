@@ -19,10 +19,12 @@ from vamgpu.jobs.demo import JOB as DEMO
 from vamgpu.jobs.edit import edited
 from vamgpu.jobs.model import JobFile
 from vamgpu.jobs.read import Job, checked_toml, read_text
+from vamgpu.jobs.web import WebJob
 from vamgpu.optics.sampling import resin_pixel
 from vamgpu.storage.atomic import replacing
-from vamgpu.studio.parts import SHOWN, Mesh, Part, placed
-from vamgpu.studio.workspace import JOB, Refused, Workspace, stamp
+from vamgpu.studio import films
+from vamgpu.studio.parts import SHOWN, Drawn, Mesh, Part, drawn, drawn_bodies
+from vamgpu.studio.workspace import JOB, READERS, Refused, Workspace, kind_of_tables, stamp
 from vamgpu.targets import shapes
 
 MESHES = 4
@@ -47,8 +49,8 @@ class Texts:
         fields: dict[str, Any] = {}
         try:
             fields = checked_toml(text, name)
-            if "roller" not in fields:
-                Job.parse(text, source=name, folder=self._workspace.folder, files=True)
+            reader = READERS.get(kind_of_tables(fields), Job)
+            reader.parse(text, source=name, folder=self._workspace.folder, files=True)
         except JobError as error:
             found = [{"field": each.key, "line": each.line, "message": each.message} for each in error.wrong]
             errors = found or [{"field": "", "line": None, "message": str(error)}]
@@ -72,10 +74,6 @@ class Texts:
             with replacing(path, overwrite=there) as draft:
                 draft.write_text(text, encoding="utf-8")
         return self.read(name)
-
-    def edit(self, text: str, changes: dict[str, Any], removed: list[str]) -> dict[str, Any]:
-        """A text with other values."""
-        return self.checked(edited(text, changes, removed))
 
     def new(self, name: str, part: str | None, height: str | None, presets: list[dict[str, Any]]) -> dict[str, Any]:
         """Write the file of a new job from presets; without a part, for the bundled boat."""
@@ -105,53 +103,75 @@ class Texts:
                 self._parts[key] = Part.load(path, most)
             return self._parts[key]
 
-    def _drawn(self, fields: dict[str, Any], most: int = SHOWN) -> Part | None:
-        """The part of a job, in one piece; None for several bodies."""
-        target = fields.get("target")
-        if not isinstance(target, dict):
+    def _part_of(self, section: Any, most: int) -> Part | None:
+        """The part that a table names."""
+        if not isinstance(section, dict):
             return None
-        if isinstance(target.get("mesh"), str):
-            return self.part(self._workspace.existing(target["mesh"]), most)
-        if target.get("shape") in shapes.names():
-            solid = shapes.build(target["shape"])
-            points = solid.vertices.astype(np.float32)
+        if isinstance(section.get("mesh"), str):
+            part = self.part(self._workspace.existing(section["mesh"]), most)
+            number = section.get("part")
+            return part.only(number) if isinstance(number, int) else part
+        if section.get("shape") in shapes.names():
+            solid = shapes.build(section["shape"])
+            points, faces = solid.vertices.astype(np.float32), solid.faces.astype(np.uint32)
             ends = np.stack([points.min(axis=0), points.max(axis=0)]).astype(float)
-            mesh = Mesh(points, solid.faces.astype(np.uint32), 0.0)
-            return Part(target["shape"], mesh, solid.vertices, ends, len(solid.faces), ())
+            mesh = Mesh(points, faces, np.zeros(len(faces), np.uint32), 0.0)
+            return Part(section["shape"], mesh, solid.vertices, ends, len(solid.faces), ())
         return None
 
-    def mesh(self, name: str, most: int = SHOWN) -> tuple[Part, np.ndarray]:
-        """The part of a job and its corners where the job places it. Raises `Refused`."""
-        fields = checked_toml(read_text(self._workspace.existing(name, JOB)))
-        part = self._drawn(fields, most)
-        if part is None:
+    def _drawn(self, fields: dict[str, Any], most: int = SHOWN) -> Drawn | None:
+        """The part or the bodies of a job where it places them; None if it names none."""
+        bodies, target = fields.get("body"), _scale(fields)
+        if not isinstance(bodies, list) or not bodies:
+            part = self._part_of(target, most)
+            return None if part is None else drawn(part, target)
+        parts: list[Part] = []
+        said: list[dict[str, Any]] = []
+        for n, body in enumerate(bodies):
+            part = self._part_of(body, max(1000, most // len(bodies)))
+            if part is None:
+                raise BadInput(f"body {n + 1} names no mesh in the workspace and no bundled shape; add it")
+            if "roles" in body:
+                for k in np.unique(part.mesh.owner).tolist():
+                    named = part.bodies[k]
+                    parts.append(part.only(k + 1))
+                    said.append({"name": named["name"] or part.name, "entry": n, "role": named["role"] or "print"})
+            else:
+                parts.append(part)
+                said.append({"name": part.name, "entry": n, "role": body.get("role", "print")})
+        return drawn_bodies(parts, said, target)
+
+    def mesh(self, name: str, most: int = SHOWN) -> Drawn:
+        """The bodies of a job where it places them. Raises `Refused`."""
+        found = self._drawn(checked_toml(read_text(self._workspace.existing(name, JOB))), most)
+        if found is None:
             raise Refused(404, f"{name} has no part to draw; set target.mesh or target.shape")
-        return part, placed(part.mesh.positions.astype(float), part.hull, _scale(fields))[0]
+        return found
 
     def scene(self, name: str) -> dict[str, Any]:
-        """What surrounds the part: vessel, grid and beam, as far as the file is right, and what does not fit."""
+        """What surrounds the part: vessel, grid and beam, as far as the file is valid, and what does not fit."""
         text = read_text(self._workspace.existing(name, JOB))
-        found: dict[str, Any] = dict.fromkeys(("vessel", "part", "grid", "beam"))
-        problems, doubts = list(self.checked(text, name)["errors"]), []
-        fields: dict[str, Any] = {}
-        with suppress(JobError):
-            fields = checked_toml(text)
-        solid = None
+        found: dict[str, Any] = dict.fromkeys(("vessel", "part", "grid", "beam", "web"))
+        said, doubts, solid = self.checked(text, name), [], None
+        problems, fields = said["errors"], said["fields"]
         try:
             part = self._drawn(fields)
             if part is not None:
-                hull = placed(part.hull, part.hull, _scale(fields))[1]
+                hull = part.hull
                 low, high = hull.min(axis=0), hull.max(axis=0)
                 radius = float(np.hypot(hull[:, 0], hull[:, 1]).max())
                 found["part"] = {"triangles": part.triangles, "low": low.tolist(), "high": high.tolist(),
                                  "extents": (high - low).tolist(), "radius": radius}  # fmt: skip
-                doubts += part.described()["doubts"]
+                doubts += part.doubts
                 solid = SimpleNamespace(radius=radius, height=float(high[2] - low[2]))
         except VamError as error:
             problems.append({"field": "target", "message": str(error)})
         with suppress(JobError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            self._surround(Job.parse(text, folder=self._workspace.folder).file, solid, found, problems)
+            if kind_of_tables(fields) == "web":
+                found["web"] = films.machine_of(WebJob.parse(text, folder=self._workspace.folder).file)
+            else:
+                self._surround(Job.parse(text, folder=self._workspace.folder).file, solid, found, problems)
         return {**found, "problems": problems, "doubts": doubts}
 
     @staticmethod
@@ -201,7 +221,7 @@ def _scale(fields: dict[str, Any]) -> dict[str, Any]:
     """How a job places its part, with the height in mm; as drawn if that is invalid."""
     from vamgpu.quantity import parse
 
-    target = dict(fields.get("target") or {})
+    target = dict(fields.get("slices" if "printer" in fields else "target") or {})
     try:
         height = target.get("height")
         target["height"] = None if height is None else parse(height, "a length")

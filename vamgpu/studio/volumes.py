@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tempfile
 from collections import OrderedDict
@@ -20,29 +21,50 @@ KEPT = 6
 
 
 class Volumes:
-    """The last arrays that were looked at."""
+    """The arrays that were read last."""
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[Path, str, Stamp], np.ndarray] = OrderedDict()
+        self._known: OrderedDict[tuple[Path, str, Stamp], _Mapped] = OrderedDict()
         self._lock = Lock()
 
     def of(self, folder: Folder, name: str) -> np.ndarray:
         """An array of a job folder, verified by its hash when it is mapped. Raises `StorageError`."""
         key = folder.path, name, stamp(folder.path / MANIFEST)
         with self._lock:
-            if key in self._known:
-                self._known.move_to_end(key)
-                return self._known[key]
-            while len(self._known) >= KEPT:
+            entry = self._known.setdefault(key, _Mapped())
+            self._known.move_to_end(key)
+            while len(self._known) > KEPT:
                 self._known.popitem(last=False)
-            record = folder.record(name)
-            with tempfile.TemporaryFile() as file:
-                for part in folder.parts(name):  # written, since a map beyond a full disk would end the server
-                    file.write(np.ascontiguousarray(part, record.dtype).data)
-                file.flush()
-                mapped = np.memmap(file, record.dtype, "r", shape=record.shape)
-            self._known[key] = mapped
-            return mapped
+        with entry.lock:  # other arrays are read meanwhile
+            if entry.array is None:
+                entry.array = _mapped(folder, name)
+            return entry.array
+
+
+class _Mapped:
+    """An array that one thread maps while others wait for it."""
+
+    def __init__(self) -> None:
+        self.lock = Lock()
+        self.array: np.ndarray | None = None
+
+
+def _mapped(folder: Folder, name: str) -> np.ndarray:
+    record = folder.record(name)
+    with tempfile.TemporaryFile() as file:
+        for part in folder.parts(name):  # written, since a map beyond a full disk would end the server
+            file.write(np.ascontiguousarray(part, record.dtype).data)
+        file.flush()
+        return np.memmap(file, record.dtype, "r", shape=record.shape)
+
+
+def png(levels: np.ndarray) -> bytes:
+    """An image, uint8 [row, column], as a file."""
+    from PIL import Image
+
+    held = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(levels)).save(held, "png")
+    return held.getvalue()
 
 
 class Arrays(NamedTuple):

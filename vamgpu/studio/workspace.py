@@ -1,4 +1,4 @@
-"""A folder of parts, job files, job folders and runs, as the command line leaves them."""
+"""A folder of parts, job files, job folders and runs, in the form that the command line writes."""
 
 from __future__ import annotations
 
@@ -13,17 +13,22 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from vamgpu.errors import BadInput, JobError, StorageError, VamError, WrongKey
-from vamgpu.jobs.progress import RunProgress
-from vamgpu.jobs.read import Job, checked_toml, read_text
-from vamgpu.jobs.web import is_web_folder
+from vamgpu.jobs.curethrough import CurethroughJob
+from vamgpu.jobs.progress import RunProgress, events_path
+from vamgpu.jobs.read import CheckedJob, Job, checked_toml, read_text
+from vamgpu.jobs.web import WebJob, is_web_folder
 from vamgpu.methods.plan_folder import INTERRUPTED
 from vamgpu.storage.atomic import locked
 from vamgpu.storage.folder import MANIFEST, Folder
+from vamgpu.storage.manifest import plain
 from vamgpu.targets.mesh import FORMATS
+from vamgpu.webs.store import RECORD, WebFolder
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,79}")
 """Names of files and folders in requests: without separators and leading dots, they cannot leave the workspace."""
 JOB, RESULT, PROOF = ".toml", ".vam", ".proof"
+READERS: dict[str, type[CheckedJob[Any]]] = {"vial": Job, "web": WebJob, "slices": CurethroughJob}
+"""Kind of a job → what reads its file."""
 OWN = ".studio"
 """Folder in the workspace for tasks, own presets and the lock."""
 TRASH = "trash"
@@ -45,7 +50,7 @@ class Refused(VamError):
 
 
 def stamp(path: Path) -> Stamp:
-    """What changes with the content of a file: inode, time and size; zeros if there is none."""
+    """A stamp that changes with the content of a file: inode, time and size; zeros if there is none."""
     with suppress(OSError):
         found = os.stat(path)
         return found.st_ino, found.st_mtime_ns, found.st_size
@@ -74,18 +79,14 @@ class Remembered:
 
 
 class Workspace:
-    """One folder; all names in requests are resolved here.
+    """One folder; all names in requests are resolved here. given: the folder, or what the page opens in it.
 
-    Args:
-        given: The folder, or a file or job folder in it, which the page opens.
-
-    Raises:
-        StorageError: The folder cannot be used, or another Studio serves it.
+    Raises `BadInput`, and `StorageError` if the folder cannot be used, or another Studio serves it.
     """
 
     def __init__(self, given: Path) -> None:
         inside = given.suffix.lower() in (JOB, RESULT, *FORMATS)
-        if inside and not given.exists():
+        if not given.exists():
             raise BadInput(f"there is no {str(given)!r}; expected a folder, a job file, a mesh or a job folder")
         whole = given.resolve()
         self.folder: Path = whole.parent if inside else whole
@@ -138,52 +139,90 @@ class Workspace:
         folders = sorted(name for name, entry in names.items() if entry.is_dir())
         texts = {name: self.remembered.of("kind", self.folder / name, kind_of) for name in files if name.endswith(JOB)}
         results = [self._result(name, busy) for name in folders
-                   if name.endswith(RESULT) and (self.folder / name / MANIFEST).is_file()]  # fmt: skip
+                   if name.endswith(RESULT) and record_of(self.folder / name).is_file()]  # fmt: skip
         known = {result["id"]: result for result in results}
         trash = self.folder / TRASH
         return {
             "name": self.folder.name, "opened": self.opened,
-            "parts": [self._file(name) for name in files if Path(name).suffix.lower() in FORMATS],
+            "parts": [{"id": name, "bytes": found.st_size, "modified": found.st_mtime} for name in files
+                      if Path(name).suffix.lower() in FORMATS for found in [names[name].stat()]],
             "jobs": [self._job(name, kind, known, busy) for name, kind in texts.items() if kind != "rig"],
             "results": results,
             "rigs": [{"id": "emulated"}, *({"id": name} for name, kind in texts.items() if kind == "rig")],
             "trash": len(os.listdir(trash)) if trash.is_dir() else 0,
         }  # fmt: skip
 
-    def _file(self, name: str) -> dict[str, Any]:
-        found = (self.folder / name).stat()
-        return {"id": name, "bytes": found.st_size, "modified": found.st_mtime}
-
     def _job(self, name: str, kind: str, results: dict[str, Any], busy: dict[str, str]) -> dict[str, Any]:
         path, result = self.folder / name, Path(name).with_suffix(RESULT).name
-        error, part = ("", None) if kind != "vial" else self.remembered.of("job", path, _checked)
-        error, part = _checked(path) if error else (error, part)  # its mesh may have come since
+        read = self.remembered.of("job", path, _read) if kind in READERS else ("", None)
+        error, job = _read(path) if read[0] else read  # its mesh may have come since
         found, modified = results.get(result), path.stat().st_mtime
+        if isinstance(job, CurethroughJob) and (place := self.corrected(job)) is not None:
+            state, verdict = self.reported(place.with_name(f"{place.stem}.html"), place)
+            found, result = {"state": state, "verdict": verdict}, place.name
         if name in busy:
             state = busy[name]
         elif RunProgress(self.folder / result).running:
             state = "running"
         elif found is None:
             state = "invalid" if error else "new"
-        elif found["state"] != "interrupted" and modified > found["modified"]:
+        elif found["state"] in ("solved", "proved") and job is not None and self._changed(self.folder / result, job):
             state = "changed"
         else:
             state = found["state"]
+        part = None if job is None else getattr(job.file, "slices" if kind == "slices" else "target").mesh
         return {"id": name, "modified": modified, "kind": kind, "part": part, "error": error, "state": state,
-                "result": None if found is None else result}  # fmt: skip
+                "result": None if found is None else result,
+                "verdict": None if found is None else found["verdict"]}  # fmt: skip
+
+    def corrected(self, job: CurethroughJob) -> Path | None:
+        """The corrected slices of a job in this folder, if there are any."""
+        place = job.beside()
+        return place if place.parent == self.folder and place.exists() and not place.is_symlink() else None
+
+    def _changed(self, result: Path, job: CheckedJob[Any]) -> bool:
+        """Whether the keys of a job file differ from those of its result."""
+        if isinstance(job, Job):
+            return _differ(self.manifest(result).manifest.inputs.get("job"), job)
+        return self.differs(result if is_web_folder(result) else result.with_name(f"{result.stem}.html"), job)
+
+    def differs(self, place: Path, job: CheckedJob[Any]) -> bool:
+        """Whether a job has other keys than the run that wrote a place."""
+        return _differ(self._recorded(place).job, job)
+
+    def _recorded(self, place: Path) -> RunProgress:
+        """The progress of a run that has ended."""
+
+        def read(_: Path) -> RunProgress:
+            found = RunProgress(place)
+            found.read()
+            return found
+
+        return self.remembered.of("progress", events_path(place), read)
+
+    def reported(self, page: Path, made: Path) -> tuple[str, dict[str, Any] | None]:
+        """State and verdict that a run recorded when it wrote a report on what was ``made``, unless that is newer."""
+        found = self._recorded(page).verdict if stamp(page)[1] >= stamp(made)[1] > 0 else None
+        return ("solved", None) if found is None else ("proved", {**found, "proved": True, "remedies": []})
 
     def _result(self, name: str, busy: dict[str, str]) -> dict[str, Any]:
         path, job = self.folder / name, Path(name).with_suffix(JOB).name
         state, verdict = self.state(path)
         size = sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
-        return {"id": name, "modified": (path / MANIFEST).stat().st_mtime, "bytes": size, "state": state,
-                "verdict": verdict, "job": job if (self.folder / job).is_file() else None}  # fmt: skip
+        return {"id": name, "modified": record_of(path).stat().st_mtime, "bytes": size, "state": state,
+                "kind": "web" if is_web_folder(path) else "vial", "verdict": verdict,
+                "job": job if (self.folder / job).is_file() else None}  # fmt: skip
+
+    def web(self, path: Path) -> WebFolder:
+        """An opened folder of a web. Raises `StorageError`."""
+        return self.remembered.of("web", path / RECORD, lambda file: WebFolder.open(file.parent))
 
     def state(self, path: Path) -> tuple[str, dict[str, Any] | None]:
         """State and verdict of a job folder."""
-        if is_web_folder(path):
-            return "web", None
         try:
+            if is_web_folder(path):
+                whole = self.web(path).complete
+                return self.reported(path.with_suffix(".html"), path / RECORD) if whole else ("interrupted", None)
             if INTERRUPTED in self.manifest(path).manifest.inputs:
                 return "interrupted", None
             proof = self.proof_of(path)
@@ -193,6 +232,10 @@ class Workspace:
         if judged is None:
             return "solved", None
         return "proved", {key: judged["verdict"][key] for key in ("prints", "proved", "sentence")}
+
+    def is_interrupted(self, path: Path) -> bool:
+        """Whether a job folder holds a run that can continue."""
+        return path.suffix == RESULT and record_of(path).is_file() and self.state(path)[0] == "interrupted"
 
     def manifest(self, path: Path) -> Folder:
         """An opened job folder."""
@@ -210,17 +253,40 @@ def kind_of(path: Path) -> str:
         tables = checked_toml(read_text(path))
     except JobError:
         return "other"
+    return kind_of_tables(tables)
+
+
+def kind_of_tables(tables: dict[str, Any]) -> str:
+    """What the tables of a TOML file describe."""
     if "target" in tables or "body" in tables:
         return "web" if "roller" in tables else "vial"
+    if "printer" in tables:
+        return "slices"
     return "rig" if "motion" in tables and "display" in tables else "other"
 
 
-def _checked(path: Path) -> tuple[str, str | None]:
-    """What is wrong with a job file, and the name of its part in the workspace."""
+def record_of(path: Path) -> Path:
+    """The file of a job folder that is written last."""
+    return path / RECORD if is_web_folder(path) else path / MANIFEST
+
+
+def _read(path: Path) -> tuple[str, CheckedJob[Any] | None]:
+    """What is wrong with a job file, and the job if nothing is."""
     try:
-        file = Job.read(path).file
+        return "", READERS[kind_of(path)].read(path)
     except JobError as error:
         return str(error), None
     except (ValueError, OSError) as error:
         return f"{path.name}: {error}", None
-    return "", file.target.mesh
+
+
+def _differ(made: dict[str, Any] | None, job: CheckedJob[Any]) -> bool:
+    """Whether keys differ from those of a job; its device does not count."""
+    return made is not None and _without_device(made) != _without_device(plain(job.given))
+
+
+def _without_device(tables: dict[str, Any]) -> dict[str, Any]:
+    """The tables of a job without its device, and without tables that are empty."""
+    kept = {name: {key: value for key, value in table.items() if key != "device"} if isinstance(table, dict) else table
+            for name, table in tables.items()}  # fmt: skip
+    return {name: table for name, table in kept.items() if table}

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import BadInput
+from vamgpu.schema.quantities import numeric
 
 Circle = tuple[float, float, float]
 """Center x, center y, radius."""
@@ -18,11 +19,9 @@ _SLACK = 1e-12
 
 def smallest_enclosing_circle(points: npt.ArrayLike) -> Circle:
     """Return (x, y, radius) of the smallest circle that contains all points."""
-    array = np.asarray(points, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
+    array = numeric("points", points, (2,), "finite coordinates (n, 2): clean the mesh first")
+    if array.shape[1] != 2:
         raise BadInput(f"points has shape {array.shape}; expected (n, 2) with n >= 1")
-    if not np.isfinite(array).all():
-        raise BadInput("points holds NaN or infinity; expected finite coordinates: clean the mesh first")
     rim = _hull(array)
     # Far from the origin, rounding errors of the products below would be large.
     shift = rim.mean(axis=0)

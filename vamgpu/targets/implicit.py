@@ -15,7 +15,7 @@ from vamgpu.web import WebGrid
 Array = npt.NDArray[np.float64]
 
 SAMPLES = 4
-"""Default whose cube is the number of sample points in a voxel that the surface may cross."""
+"""Cube root of the default number of sample points in a voxel that the surface may cross."""
 PLASTIC = 1.2207440846057596
 """The root of x⁴ = x + 1: its powers spread points in three dimensions."""
 _POINTS = 1 << 19

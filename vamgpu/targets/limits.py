@@ -56,7 +56,7 @@ class Limits:
 
     @cached_property
     def scale(self) -> npt.NDArray[np.float32]:
-        """Factor of the dose at each voxel for which one limit holds for all, [x, y, z]; 0 where nothing is judged."""
+        """Factor of the dose at each voxel that makes one limit hold for all, [x, y, z]; 0 where nothing is judged."""
         return np.divide(1.0, self.dose, out=np.zeros(self.dose.shape, np.float32), where=self.judged)
 
     @property

@@ -55,12 +55,12 @@ def read_ply(data: bytes, name: str) -> tuple[npt.NDArray[np.float64], Faces, tu
 
 
 def _header(data: bytes, name: str) -> tuple[list[tuple[str, int, list[Property]]], int, bool]:
-    """Elements, the byte that the first row begins with, and whether rows are text: then every type is a double."""
+    """Elements, the first byte of the rows, and whether rows are text; in text, every type is a double."""
     head, mark, _ = data[:HEAD].partition(b"end_header")
     lines = [line.split() for line in head.splitlines() if line.strip()]
     form = next((line[1] for line in lines if line[0] == b"format" and len(line) > 1), b"none")
     if not mark or not head.startswith(b"ply") or form not in ORDERS:
-        raise MeshError(f"{name!r} has no header that ends and names a format among {b', '.join(ORDERS).decode()}; "
+        raise MeshError(f"{name!r} has no complete header with a format among {b', '.join(ORDERS).decode()}; "
                         "it is cut off or no PLY: copy or export it again")  # fmt: skip
     elements: list[tuple[str, int, list[Property]]] = []
     for words in ([word.decode("latin-1") for word in line] for line in lines):
@@ -79,7 +79,7 @@ def _header(data: bytes, name: str) -> tuple[list[tuple[str, int, list[Property]
 
 
 def _lists(count: int, properties: list[Property], body: bytes, at: int) -> tuple[list[Faces], int]:
-    """Vertices of faces in groups of equally many, and the byte after the last. Raises `struct.error`, `ValueError`."""
+    """Vertices of faces, grouped by their number, and the byte after the last. Raises `struct.error`, `ValueError`."""
     types: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     for name, kind, length in properties:
         if length:

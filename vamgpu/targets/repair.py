@@ -22,22 +22,20 @@ _HOLE = 0.2
 """Holes whose rim is shorter than this share of the box diagonal are filled, and those of 3 or 4 edges."""
 
 
-def repaired(solid: Solid, *, fix: bool = True) -> Solid:
+def repaired(solid: Solid) -> Solid:
     """Return a watertight, outward-wound copy of solid (the same object if nothing is wrong)."""
     # cracks up to 1e-5 of the box diagonal are sewn; holes of ≤ 4 edges, or below 0.2 of the diagonal, are filled
     vertices, faces, mended = solid.vertices, solid.faces, ()
     left = solid.open_edges
-    if left and fix:
+    if left:
         vertices, faces, mended, left = _closed(vertices, faces)
     if left:
-        tried = " after merging vertices and filling small holes" if fix else ""
         raise NotWatertight(
-            f"{solid.name}: {left} open edges{tried}; expected a closed surface. Close the holes in the CAD program or "
-            "a mesh editor (make solid / close holes) and export again"
+            f"{solid.name}: {left} open edges after merging vertices and filling small holes; expected a closed "
+            "surface. Close the holes in the CAD program or a mesh editor (make solid / close holes) and export again"
         )
-    if fix:
-        vertices, faces, turned = _turn_outward(vertices, faces)
-        mended += turned
+    vertices, faces, turned = _turn_outward(vertices, faces)
+    mended += turned
     result = solid
     if vertices is not solid.vertices or faces is not solid.faces:
         result = replace(solid, vertices=vertices, faces=faces, mended=solid.mended + mended)
@@ -56,7 +54,8 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
 
 def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, tuple[str, ...], int]:
     """The surface after the steps needed to close it, descriptions of these steps, and the remaining open edges."""
-    vertices, faces = _merge_equal(vertices, faces)
+    vertices, where = np.unique(vertices, axis=0, return_inverse=True)
+    faces = where.reshape(-1)[faces].astype(np.int32)
     left, mended = len(unmatched_edges(faces)), ()
     for step in (_drop_bad_faces, _sew_cracks, _fix_winding, _fill_holes):
         if not left:
@@ -69,11 +68,6 @@ def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, tuple[st
 def _said(number: int, one: str, many: str, rest: str) -> tuple[str, ...]:
     """Sentence on a repair; empty if the number is 0."""
     return (f"{number} {one if number == 1 else many} {rest}",) if number else ()
-
-
-def _merge_equal(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
-    merged, where = np.unique(vertices, axis=0, return_inverse=True)
-    return merged, where.reshape(-1)[faces].astype(np.int32)
 
 
 def _drop_bad_faces(vertices: Vertices, faces: Faces) -> Mended:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.errors import BadInput, EmptyMesh, MeshError, StorageError
+from vamgpu.errors import BadInput, EmptyMesh, MeshError
+from vamgpu.storage.atomic import replacing
 from vamgpu.targets.circle import smallest_enclosing_circle
 
 if TYPE_CHECKING:
@@ -155,13 +156,8 @@ class Solid:
         mesh = self.to_mesh()
         mesh.units = "millimeter"
         data = mesh.export(file_type=file.suffix.lower()[1:])
-        part = file.with_name(file.name + ".part")
-        try:
-            part.write_bytes(data.encode() if isinstance(data, str) else bytes(data))
-            part.replace(file)  # a full disk then leaves no half-written mesh
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise StorageError(f"cannot write {file}: {error}; choose a writable place with free space") from error
+        with replacing(file, overwrite=True) as draft:  # a full disk then leaves no half-written mesh
+            draft.write_bytes(data.encode() if isinstance(data, str) else bytes(data))
         return file
 
 

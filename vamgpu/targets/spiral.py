@@ -11,8 +11,10 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
+from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Grid, centers, positive
+from vamgpu.schema import check
+from vamgpu.schema.quantities import Length, Positive, Share, Thickness
 from vamgpu.targets.implicit import Bounded, Implicit
 from vamgpu.web import WebGrid
 
@@ -40,18 +42,14 @@ class Spiral:
         BadInput: A value is out of its range.
     """
 
-    inner: float
-    thickness: float
-    turns: float
-    substrate: float = 0.0
-    neutral: float = 0.5
+    inner: Length
+    thickness: Length
+    turns: Positive
+    substrate: Thickness = 0.0
+    neutral: Share = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("inner", "thickness", "turns"):
-            positive(f"Spiral {name}", getattr(self, name))
-        positive("Spiral substrate [mm]", self.substrate, zero=True)
-        if positive("Spiral neutral", self.neutral, zero=True) > 1.0:
-            raise BadInput(f"Spiral neutral is {self.neutral!r}; expected a share of the thickness in 0..1")
+        check(self)
 
     @property
     def rise(self) -> float:
@@ -161,34 +159,6 @@ class Spiral:
         """
         return _BoundedFilm(self, shape) if isinstance(shape, Bounded) else _Film(self, shape)
 
-    def unwind(self, fraction: npt.ArrayLike, grid: Grid, web: WebGrid) -> npt.NDArray[np.float32]:
-        """Voxels of a solid, interpolated to those of the flat film; the core is not in the film.
-
-        Args:
-            fraction: Fractions of the solid, [x, y, z].
-            grid: Voxels of the solid.
-            web: Voxels of the film.
-
-        Returns:
-            Fractions float32 [l, rho, z].
-
-        Raises:
-            ShapeMismatch: The fractions have the shape of another grid.
-            EmptyMesh: No part of the solid lies in the film.
-        """
-        values = _on("solid", fraction, grid.shape)
-        l, rho, z = web.axes()  # noqa: E741
-        x, y = self.wound(l[:, None], rho[None, :])
-        inside = (l <= self.length)[:, None] & (rho <= self.thickness)[None, :]
-        at = [v / grid.pitch + 0.5 * (n - 1) for v, n in zip((x, y), grid.shape, strict=False)]
-        film = _looked_up(values, at[0], at[1], z / grid.pitch + 0.5 * (grid.shape[2] - 1), inside)
-        if values.any() and not film.any():
-            raise EmptyMesh(
-                f"nothing of the solid lies in the film, which is wound from radius {self.inner:g} to {self.outer:.4g} "
-                f"mm on a web {web.size[2]:g} mm wide: use a smaller inner radius or more turns"
-            )
-        return film
-
     def wind(self, fraction: npt.ArrayLike, web: WebGrid, grid: Grid, samples: int = 3) -> npt.NDArray[np.float32]:
         """Voxels of a flat film, resampled to those of the wound body.
 
@@ -204,7 +174,9 @@ class Spiral:
         Raises:
             ShapeMismatch: The fractions have the shape of another web.
         """
-        values = _on("film", fraction, web.shape)
+        values = np.asarray(fraction, np.float32)
+        if values.shape != web.shape:
+            raise ShapeMismatch(f"the film has shape {values.shape}, its grid {web.shape}; expected the same")
         x, y, z = grid.axes()
         body = np.zeros(grid.shape, np.float32)
         for dx in centers(samples, grid.pitch / samples):
@@ -251,13 +223,6 @@ class _BoundedFilm(_Film):
         """At most the distance [mm] to the surface in the flat film, negative inside."""
         value = self.shape.bound(*self._placed(along, depth, z)) / self.spiral._stretch  # type: ignore[attr-defined]
         return np.maximum(value, self._beyond(along))
-
-
-def _on(name: str, fraction: npt.ArrayLike, shape: tuple[int, int, int]) -> npt.NDArray[np.float32]:
-    values = np.asarray(fraction, np.float32)
-    if values.shape != shape:
-        raise ShapeMismatch(f"the {name} has shape {values.shape}, its grid {shape}; expected the same")
-    return values
 
 
 def _looked_up(

@@ -95,16 +95,11 @@ def stream(
             f"{high[2]:.4g} mm; expected part of it in the web, from ρ = 0 to {grid.size[1]:.4g} mm and ±"
             f"{0.5 * grid.size[2]:.4g} mm: move it"
         )
-    return _tiles(shape, grid, voxels, samples, device)
-
-
-def _tiles(
-    shape: Implicit | Repeated, grid: WebGrid, voxels: int, samples: int, device: str | Device | None
-) -> Iterator[npt.NDArray[np.float32]]:
-    along = grid.shape[0]
-    for first in range(0, voxels, along):
-        piece = WebGrid((min(along, voxels - first), *grid.shape[1:]), grid.pitch)
-        yield tile(shape, piece, first * grid.edges[0], samples=samples, device=device)
+    starts, edge = range(0, voxels, grid.shape[0]), grid.edges[0]
+    pieces = (WebGrid((min(grid.shape[0], voxels - k), *grid.shape[1:]), grid.pitch) for k in starts)
+    return (
+        tile(shape, piece, k * edge, samples=samples, device=device) for k, piece in zip(starts, pieces, strict=True)
+    )
 
 
 def _meets(solid: Solid, grid: WebGrid) -> bool:

@@ -20,17 +20,17 @@ from vamgpu.geometry import Grid, counts, positive
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.quantity import meant
 from vamgpu.schema.quantities import Length, measured
+from vamgpu.storage.memory import installed
 from vamgpu.targets.mesh import solid_of
 from vamgpu.targets.resampling import averaged
-from vamgpu.targets.ring_fractions import averaged_on_rings, voxelized
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.voxelize import voxelize
+from vamgpu.units import NAMES
 
 if TYPE_CHECKING:
     import trimesh
 
     from vamgpu.targets.limits import Limits
-    from vamgpu.targets.solid import Solid
 
 MARGIN = 2
 """Voxels between the part and the rim of the inscribed cylinder, by default."""
@@ -89,14 +89,14 @@ class Target:
         ``mended`` lists the changes of a repair.
 
         Args:
-            source: Path of an STL, PLY, OBJ or 3MF file, a `Solid`, or a `trimesh.Trimesh`, in mm if it has no unit.
+            source: Path of an STL, PLY, OBJ, 3MF or STEP file, a `Solid`, or a `trimesh.Trimesh`, by default in mm.
             height: Height along z [mm]; like ``pitch`` also text with its unit, ``"11.5 mm"``.
             factor: Scale of the mesh, dimensionless.
             pitch: Voxel edge [mm].
             orientation: Rotation matrix, (3, 3).
             margin: Empty voxels between the part and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
-            grid: A grid in place of pitch and shape, or rings, whose box is used; see `on_rings` for rings.
+            grid: A grid in place of pitch and shape, or rings, whose box is used.
             device: A name or a device; the best available one by default.
             name: Name in messages and reports; by default the file's.
 
@@ -115,13 +115,18 @@ class Target:
         """
         pitch, shape = _pitch_and_shape(pitch, shape, grid)
         height = _one_scale(height, factor)
-        given = _solid(source, name)
+        given = solid_of(source, name or "solid")
+        if given is None:
+            raise BadInput(f"got a {type(source).__name__}; expected the path of a mesh file, a Solid or a "
+                           "trimesh.Trimesh")  # fmt: skip
         drawn = given.drawn and isinstance(source, Solid)
         solid = given.placed(rotation=orientation, height=height, factor=factor, center=not drawn)
         solid = solid.leveled() if drawn else solid
         _check_size(solid, height, factor, pitch)
         check_thickness(solid, pitch)
-        box = _grid(solid, pitch, _margin(margin), shape)
+        if positive("margin [voxels]", margin, zero=True) != int(margin):
+            raise BadInput(f"margin is {margin!r}; expected a whole number of voxels")
+        box = _grid(solid, pitch, int(margin), shape)
         place = open_device(device)
         _check_memory(box, place)
         fraction, volume = voxelize(solid, box, place)
@@ -217,38 +222,12 @@ class Target:
             BadInput: The shift is not three finite lengths.
             OutOfMemory: The grid does not fit the device.
         """
-        place, move = open_device(device), _lengths(shift)
+        place, move = open_device(device), np.asarray(shift, np.float64)
+        if move.shape != (3,) or not np.isfinite(move).all():
+            raise BadInput(f"shift is {shift!r}; expected three finite lengths (x, y, z) [mm]")
         if self.solid is not None:
-            return voxelize(self.solid.translated([-length for length in move]), grid, place).fraction
-        return place.upload(averaged(self.numpy(), self.grid, grid, move))
-
-    def on_rings(self, rings: PolarGrid, device: str | Device | None = None) -> DeviceArray:
-        """The filled share of every cell of rings; computed only once.
-
-        A target with a ``solid`` uses the mesh, with an error of 0.025 (root mean square over the cells that the
-        surface cuts). For a target from an array, the fractions, constant within each voxel and 0 outside, are averaged
-        over the cells.
-
-        Args:
-            rings: The cells.
-            device: A name or a device; the best available one by default.
-
-        Returns:
-            Fractions [angle, cell, z] on the device; parts of the object outside are cut off.
-
-        Raises:
-            BadInput: No rings are given.
-            TargetTooLarge: The rings are too wide for the pitch.
-        """
-        if not isinstance(rings, PolarGrid):
-            raise BadInput(f"got {rings!r} as rings; expected a PolarGrid")
-        place = open_device(device)
-        key = (place.name, rings)
-        if key not in self._copies:
-            found = (voxelized(self.solid, rings, place) if self.solid is not None
-                     else averaged_on_rings(self.numpy(), self.grid, rings))  # fmt: skip
-            self._copies[key] = place.upload(found)
-        return self._copies[key]
+            return voxelize(self.solid.translated(-move), grid, place).fraction
+        return place.upload(averaged(self.numpy(), self.grid, grid, tuple(move.tolist())))
 
     def numpy(self) -> npt.NDArray[np.floating]:
         """The fractions in NumPy.
@@ -257,13 +236,6 @@ class Target:
             Fractions [x, y, z].
         """
         return self.fraction.numpy() if isinstance(self.fraction, DeviceArray) else self.fraction
-
-
-def _lengths(shift: tuple[float, float, float]) -> tuple[float, float, float]:
-    move = np.asarray(shift, dtype=np.float64)
-    if move.shape != (3,) or not np.isfinite(move).all():
-        raise BadInput(f"shift is {shift!r}; expected three finite lengths (x, y, z) [mm]")
-    return float(move[0]), float(move[1]), float(move[2])
 
 
 def _pitch_and_shape(
@@ -294,14 +266,6 @@ def _one_scale(height: float | str | None, factor: float | None) -> float | None
     return measured("height", height, Length)
 
 
-def _solid(source: Any, name: str | None) -> Solid:
-    solid = solid_of(source, name or "solid")
-    if solid is None:
-        raise BadInput(f"got a {type(source).__name__}; expected the path of a mesh file, a Solid or a "
-                       "trimesh.Trimesh")  # fmt: skip
-    return solid
-
-
 def _check_size(solid: Solid, height: float | None, factor: float | None, pitch: float) -> None:
     """Reject a part or voxels of an improbable size, whose unit is probably wrong. Raises `BadInput`."""
     size = float(np.ptp(solid.bounds, axis=0).max())
@@ -313,26 +277,21 @@ def _check_size(solid: Solid, height: float | None, factor: float | None, pitch:
     unit = meant(size, SMALLEST, LARGEST)
     likely = ""
     if unit is not None:
-        name, value = ("height", height) if height is not None else ("factor", factor)
-        likely = f"; if that was meant in {unit}, take {name}={value:g} * vamgpu.units.{unit}"
+        name, value = ("factor", factor or 1.0) if height is None else ("height", height)
+        right = f"{value * NAMES[unit]:.6g}" if name == "factor" else f'"{value * NAMES[unit]:.6g} mm"'
+        likely = f"; if that was meant in {unit}, write {name} = {right}"
     raise BadInput(f"{solid.name}: the part is {size:.3g} mm at its longest; expected {SMALLEST:g} to {LARGEST:g} mm: "
                    f"check the unit{likely}")  # fmt: skip
 
 
 def check_thickness(solid: Solid, pitch: float) -> None:
-    """Warn of a part whose walls are thinner than a voxel, as its volume and its surface tell."""
+    """Warn of a part whose walls are thinner than a voxel, judging by its volume and surface."""
     a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
     surface = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     if (thick := 2.0 * abs(solid.volume) / surface) < pitch:
         warnings.warn(f"{solid.name}: its walls are about {thick:.3g} mm thick, thinner than a voxel of {pitch:g} mm: "
                       "where a wall lies between voxels decides what prints; use a smaller pitch or thicker walls",
                       MeshWarning, stacklevel=3)  # fmt: skip
-
-
-def _margin(margin: int) -> int:
-    if positive("margin [voxels]", margin, zero=True) != int(margin):
-        raise BadInput(f"margin is {margin!r}; expected a whole number of voxels")
-    return int(margin)
 
 
 def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] | None) -> Grid:
@@ -356,14 +315,9 @@ def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] |
 
 def _check_memory(grid: Grid, device: Device) -> None:
     """Reject a target that does not fit the memory before the machine swaps; devices with memory check it too."""
-    import os
-
     size = device.real.itemsize * prod(grid.shape) / 1e9
-    try:
-        room = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    except (AttributeError, ValueError, OSError):  # not every system reports this
-        return
-    if "cuda" not in device.name and not getattr(device, "is_gpu", False) and size > room:
+    room = installed() / 1e9
+    if "cuda" not in device.name and not device.is_gpu and size > room:
         raise OutOfMemory(
             f"a target of {grid.shape} voxels of {grid.pitch:g} mm, {grid.shape[2] * grid.pitch:.4g} mm high, takes "
             f"{size:.1f} GB; this machine has {room:.1f} GB: use a larger pitch or a smaller part"

@@ -1,6 +1,7 @@
 """Read 3MF packages as slicers do: which objects are printed, where they are placed, and what is subtracted.
 
-The core and production extensions, and the volumes that PrusaSlicer and Bambu Studio (Orca) describe in addition.
+The core, production and beam lattice extensions, and the volumes that PrusaSlicer and Bambu Studio (Orca) describe in
+addition.
 """
 
 from __future__ import annotations
@@ -14,18 +15,20 @@ from zipfile import ZipInfo
 
 import numpy as np
 import numpy.typing as npt
+from manifold3d import Manifold
 
 from vamgpu.errors import EmptyMesh, MeshError
 from vamgpu.storage.memory import afford, size
 from vamgpu.storage.zips import open_zip, unpacked
+from vamgpu.targets.beam_lattice import BeamLattice
 from vamgpu.targets.shapes import csg
 
 WORK = 12
 """Bytes of memory that reading takes, by byte of a model's text."""
 DENSEST, SMALL = 200, 1 << 24
-"""Meshes as text pack ten times smaller; beyond `SMALL` bytes a model that packs so much smaller is none."""
+"""Largest compression of a model above `SMALL` bytes; meshes as text compress to a tenth."""
 DOCTYPES = (b"<!DOCTYPE", "<!DOCTYPE".encode("utf-16-le")[:-1])
-"""What a 3MF file must not have (3MF core, 2.3): entities that multiply, and names of other files."""
+"""Contents forbidden in a 3MF file (3MF core, 2.3): entities that multiply, and names of other files."""
 
 
 def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str, bytes]:
@@ -40,7 +43,7 @@ def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str
                 if member.file_size > max(SMALL, DENSEST * member.compress_size):
                     raise MeshError(
                         f"{name!r} holds {member.filename!r}, which unpacks from {size(member.compress_size)} to "
-                        f"{size(member.file_size)}; no mesh compresses so far: export the part again"
+                        f"{size(member.file_size)}; no mesh compresses that much: export the part again"
                     )
                 text = unpacked(package, member)
                 if any(mark in text for mark in DOCTYPES):
@@ -69,8 +72,9 @@ Array = npt.NDArray[np.float64]
 UNITS = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "inch": 25.4, "foot": 304.8, "meter": 1e3}
 PRINTED = ("model", "solidsupport")
 """Types of objects that are printed; "support", "surface" and "other" are not."""
-KNOWN = ("production/2015/06", "material/2015/02", "slice/2015/07", "core/2015/02", "trianglesets/2021/07")
-"""Ends of the namespaces of extensions that may be required, because they do not change the solids."""
+KNOWN = ("production/2015/06", "material/2015/02", "slice/2015/07", "core/2015/02", "trianglesets/2021/07",
+         "beamlattice/2017/02", "beamlattice/balls/2020/07")  # fmt: skip
+"""Ends of the namespaces of extensions that may be required: they are read, or do not change the solids."""
 MOST_INSTANCES, MOST_LEVELS = 10_000, 16
 """Largest number of meshes that a package may place, and of levels of components."""
 TRIANGLE = 300
@@ -87,29 +91,68 @@ ROLES = {
 @dataclass
 class _Object:
     kind: str
+    names: tuple[str, ...]
     vertices: Array
-    faces: npt.NDArray[np.int64]
+    faces: npt.NDArray[np.integer[Any]]
     components: list[tuple[str, str, Array]] = field(default_factory=list)  # file, number, transform
 
 
-def read_3mf(data: bytes, name: str) -> trimesh.Trimesh:
-    """The printed parts of a package [mm], joined, minus its negative volumes. Raises `MeshError`, `EmptyMesh`."""
+@dataclass(frozen=True)
+class _Volume:
+    """Role and names of an object or of a part of it."""
+
+    role: str
+    names: tuple[str, ...]
+
+    def containing(self, role: str, names: tuple[str, ...]) -> _Volume:
+        """A part of it."""
+        return _Volume(role or self.role, (*names, *self.names))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A mesh [mm] where it is printed. names: of its volume, its object and those around it, the innermost first."""
+
+    vertices: Array
+    faces: npt.NDArray[np.integer[Any]]
+    names: tuple[str, ...]
+
+
+def read_3mf(data: bytes, name: str, part: int | None = None) -> trimesh.Trimesh:
+    """The printed parts of a package [mm], or one, minus negative volumes. Raises `MeshError`, `EmptyMesh`."""
+    # metadata["parts"]: number of triangles and names of each part
     import trimesh
 
     solid, cut = _Package(name, members_of(data, name, (PRUSA, BAMBU))).placed()
     if not solid:
         raise EmptyMesh(f"{name} places no triangles that are printed; expected an <item> of a model with a mesh")
-    mesh: Any = trimesh.util.concatenate([trimesh.Trimesh(v, f, process=False) for v, f in solid])
+    if part is not None and part > len(solid):
+        raise MeshError(f"{name!r} has {len(solid)} parts; expected part 1 to {len(solid)}, not {part}: correct it")
+    solid = solid if part is None else solid[part - 1 : part]
     if cut:
-        mesh.merge_vertices()
-        body = csg.from_triangles(mesh.vertices, mesh.faces) - csg.union(csg.from_triangles(*each) for each in cut)
-        if body.is_empty():
-            raise MeshError(f"{name!r} has negative volumes that leave nothing, or surfaces that are not closed; "
-                            "expected closed parts: repair them in the slicer and export again")  # fmt: skip
-        found = body.to_mesh64()
-        mesh = trimesh.Trimesh(np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts), process=False)
+        tool = csg.union(_closed(each.vertices, each.faces, name) for each in cut)
+        left = (csg.triangles(_closed(each.vertices, each.faces, name) - tool) for each in solid)
+        solid = [Placed(*some, each.names) for some, each in zip(left, solid, strict=True)]
+        if not any(len(each.faces) for each in solid):
+            raise MeshError(f"{name!r} has negative volumes that leave nothing; expected a part beyond them: correct "
+                            "them in the slicer and export again")  # fmt: skip
+    mesh: Any = trimesh.util.concatenate([trimesh.Trimesh(each.vertices, each.faces, process=False) for each in solid])
     mesh.units = "millimeter"
+    mesh.metadata["parts"] = [(len(each.faces), each.names) for each in solid]
     return mesh
+
+
+def _closed(vertices: Array, faces: Any, name: str) -> Manifold:
+    """A mesh as a body. Raises `MeshError`."""
+    import trimesh
+
+    mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices()
+    body = csg.from_triangles(mesh.vertices, mesh.faces)
+    if body.is_empty():
+        raise MeshError(f"{name!r} has negative volumes or beams, and surfaces that are not closed; expected closed "
+                        "parts: repair them in the slicer and export again")  # fmt: skip
+    return body
 
 
 class _Package:
@@ -122,26 +165,26 @@ class _Package:
         if root is None:
             raise MeshError(f"{name!r} holds no model; expected 3D/3dmodel.model: export the part again as 3MF")
         self.root, self.build = root, models[root].findall("{*}build/{*}item")
+        self.scale = {path: self._unit(model) for path, model in models.items()}
         self.objects = {
             (path, each.get("id", "")): self._object(each, path)
             for path, model in models.items() if self._is_known(model) for each in model.iter("{*}object")
         }  # fmt: skip
-        self.scale = {path: self._unit(model) for path, model in models.items()}
         self.ranges, self.parts = _ranges(files.get(PRUSA)), _parts(files.get(BAMBU))
 
-    def placed(self) -> tuple[list[tuple[Array, Any]], list[tuple[Array, Any]]]:
-        """Vertices [mm] and faces of the solid volumes, and of the negative ones."""
-        solid: list[tuple[Array, Any]] = []
-        cut: list[tuple[Array, Any]] = []
+    def placed(self) -> tuple[list[Placed], list[Placed]]:
+        """The solid volumes, and the negative ones."""
+        solid: list[Placed] = []
+        cut: list[Placed] = []
         for item in self.build:
             if item.get("printable", "1") not in ("0", "false"):
-                path = self._path(item, self.root)
-                for vertices, faces, role in self._meshes(path, item.get("objectid", ""), _transform(item), "", 0):
-                    (cut if role == CUT else solid).append((vertices, faces))
+                path, whole = self._path(item, self.root), _Volume("", ())
+                for role, mesh in self._meshes(path, item.get("objectid", ""), _transform(item), whole, 0):
+                    (cut if role == CUT else solid).append(mesh)
         return solid, cut
 
-    def _meshes(self, path: str, number: str, move: Array, role: str, level: int) -> Any:
-        """Meshes of an object and its components, transformed; without those that are ignored."""
+    def _meshes(self, path: str, number: str, move: Array, around: _Volume, level: int) -> Any:
+        """Roles and meshes of an object and its components, transformed; without those that are ignored."""
         found = self.objects.get((path, number))
         if found is None:
             raise MeshError(f"{self.name!r} places object {number!r} of {path!r}, which does not exist; the file is "
@@ -152,27 +195,27 @@ class _Package:
                             f"{MOST_INSTANCES} of them: join the parts and export them again")  # fmt: skip
         if found.kind not in PRINTED:
             return
+        around = around.containing("", found.names)
         ranges = self.ranges.get(number) if path == self.root else None
-        for some, own in ranges or ((slice(None), role),):
-            yield from self._mesh(found, some, move, self.scale[path], own or role)
+        for some, own in ranges or ((slice(None), _Volume("", ())),):
+            yield from self._mesh(found, some, move, self.scale[path], around.containing(own.role, own.names))
         for where, other, way in found.components:
-            own = self.parts.get((number, other), role)
-            if own != LEFT_OUT:
-                yield from self._meshes(where, other, way @ move, own, level + 1)
+            own = self.parts.get((number, other), _Volume("", ()))
+            inner = around.containing(own.role, own.names)
+            if inner.role != LEFT_OUT:
+                yield from self._meshes(where, other, way @ move, inner, level + 1)
 
-    def _mesh(self, found: _Object, some: slice, move: Array, scale: float, role: str) -> Any:
+    def _mesh(self, found: _Object, some: slice, move: Array, scale: float, own: _Volume) -> Any:
         faces = found.faces[some]
-        if role != LEFT_OUT and len(faces):
+        if own.role != LEFT_OUT and len(faces):
             self.triangles += len(faces)
             afford(self.triangles * TRIANGLE, f"{self.name!r} with {self.triangles:,} triangles", MeshError)
             vertices = (found.vertices @ move[:3, :3] + move[3, :3]) * scale
-            yield vertices, faces if np.linalg.det(move[:3, :3]) > 0.0 else faces[:, ::-1], role
+            turned = faces if np.linalg.det(move[:3, :3]) > 0.0 else faces[:, ::-1]
+            yield own.role, Placed(vertices, turned, own.names)
 
     def _object(self, element: _Element, path: str) -> _Object:
         mesh = element.find("{*}mesh")
-        if mesh is not None and (lattice := mesh.find("{*}beamlattice")) is not None and len(lattice):
-            raise MeshError(f"{self.name!r} has a beam lattice, which is not supported; expected triangles: turn the "
-                            "lattice into a mesh and export again")  # fmt: skip
         none: Any = ()
         corners = none if mesh is None else mesh.iterfind("{*}vertices/{*}vertex")
         vertices = np.array([[v.get(k) for k in "xyz"] for v in corners], float).reshape(-1, 3)
@@ -180,9 +223,16 @@ class _Package:
         faces = np.array([[t.get(k) for k in ("v1", "v2", "v3")] for t in triangles], np.int64).reshape(-1, 3)
         if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
             raise MeshError(f"{self.name!r} has triangles of vertices that do not exist; it is damaged: export again")
+        if mesh is not None and (lattice := mesh.find("{*}beamlattice")) is not None:
+            beams = BeamLattice(lattice, vertices, self.scale[path], self.name).bodies()
+            whole = csg.union([*beams, *([_closed(vertices, faces, self.name)] if len(faces) else ())])
+            vertices, faces = csg.triangles(whole)
         parts = element.iterfind("{*}components/{*}component")
         inner = [(self._path(each, path), each.get("objectid", ""), _transform(each)) for each in parts]
-        return _Object(element.get("type", "model"), vertices, faces, inner)
+        said = [data.text for data in element.iterfind("{*}metadatagroup/{*}metadata")
+                if str(data.get("name")).lower().endswith("role")]  # fmt: skip
+        names = tuple(filter(None, (*said, element.get("name"))))
+        return _Object(element.get("type", "model"), names, vertices, faces, inner)
 
     @staticmethod
     def _path(element: _Element, path: str) -> str:
@@ -222,22 +272,27 @@ def _parsed(text: bytes) -> _Element:
     return etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
 
 
-def _ranges(text: bytes | None) -> dict[str, list[tuple[slice, str]]]:
-    """PrusaSlicer's volumes: triangles of each object and their role."""
-    found: dict[str, list[tuple[slice, str]]] = {}
+def _ranges(text: bytes | None) -> dict[str, list[tuple[slice, _Volume]]]:
+    """PrusaSlicer's volumes: the triangles of each, by object."""
+    found: dict[str, list[tuple[slice, _Volume]]] = {}
     for each in _parsed(text).iter("object") if text else ():
         for volume in each.iter("volume"):
             some = slice(int(volume.get("firstid", 0)), int(volume.get("lastid", -1)) + 1)
-            words = {data.get("value") for data in volume.iter("metadata") if data.get("key") == "volume_type"}
-            role = next((ROLES[word] for word in words if word in ROLES), "")
-            found.setdefault(each.get("id", ""), []).append((some, role))
+            role = next((ROLES[word] for word in _said(volume, "volume_type") if word in ROLES), "")
+            names = *_said(volume, "name"), *_said(each, "name")
+            found.setdefault(each.get("id", ""), []).append((some, _Volume(role, names)))
     return found
 
 
-def _parts(text: bytes | None) -> dict[tuple[str, str], str]:
-    """Parts of Bambu Studio and Orca: the role of a component, by the number of its object and its own."""
+def _parts(text: bytes | None) -> dict[tuple[str, str], _Volume]:
+    """Parts of Bambu Studio and Orca, by the number of the object and that of the component."""
     return {
-        (each.get("id", ""), part.get("id", "")): ROLES[part.get("subtype", "")]
-        for each in (_parsed(text).iter("object") if text else ())
-        for part in each.iter("part") if part.get("subtype") in ROLES
+        (each.get("id", ""), part.get("id", "")):
+            _Volume(ROLES.get(part.get("subtype", ""), ""), (*_said(part, "name"), *_said(each, "name")))
+        for each in (_parsed(text).iter("object") if text else ()) for part in each.iter("part")
     }  # fmt: skip
+
+
+def _said(element: _Element, key: str) -> tuple[str, ...]:
+    """What both programs say about an object or a volume."""
+    return tuple(data.get("value", "") for data in element.iterfind("metadata") if data.get("key") == key)

@@ -42,7 +42,7 @@ def voxelize(solid: Solid, grid: Grid, device: str | Device | None = None) -> Vo
     place = open_device(device)
     corners, bits = snapped(solid, grid)
     triangles = oriented(corners, solid.faces, grid.shape[2] << bits)
-    tile = _tile(place)
+    tile = 2 if place.is_gpu else 8  # columns along a work item's square: GPUs prefer many items, CPUs few lists
     fraction = _allocate(place, grid)
     members, first, last = binned(triangles, grid, bits, tile)
     shared = {"triangles": place.table(triangles, "int32"), "members": place.table(members, "int32")}
@@ -151,11 +151,6 @@ def binned(
     last = np.cumsum(np.bincount(home, minlength=total))
     first = np.concatenate([[0], last[:-1]])
     return which[order], first.reshape(tiles).astype(np.int32), last.reshape(tiles).astype(np.int32)
-
-
-def _tile(device: Device) -> int:
-    """Columns along the side of a work item's square: GPUs prefer many items, CPUs few lists."""
-    return 2 if getattr(device, "is_gpu", "cuda" in device.name) else 8
 
 
 def _allocate(device: Device, grid: Grid) -> DeviceArray:

@@ -16,6 +16,7 @@ from vamgpu.printing.focus import FocusMasks
 from vamgpu.schema.read import read
 from vamgpu.schema.write import write
 from vamgpu.storage.folder import digest
+from vamgpu.storage.reading import malformed
 from vamgpu.targets.stream import Repeated
 from vamgpu.web import Wrap
 
@@ -84,7 +85,5 @@ def wrap_from(description: Mapping[str, Any]) -> Wrap:
     def array(name: str) -> np.ndarray:
         return np.frombuffer(b64decode(arrays[name]["float64"]), "<f8").reshape(arrays[name]["shape"]).astype(float)
 
-    try:
+    with malformed("the description of a Roller is malformed", "write the web again"):
         return read("wrap", {**kept, "kind": "roller"}, units=False, arrays=array)
-    except (TypeError, ValueError, KeyError) as error:
-        raise StorageError(f"the description of a Roller is malformed: {error}; write the web again") from error

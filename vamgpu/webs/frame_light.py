@@ -6,21 +6,19 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, StorageError
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
+from vamgpu.storage.reading import malformed
 from vamgpu.webs.store import WebFolder
 
 
 def light_of(folder: WebFolder, first: int, poses: int, gain: np.ndarray, device: Device) -> DeviceArray:
     """Light [angle, r, z] of a folder's frames from ``first`` on, times each frame's gain; 0 without frames."""
-    try:
+    with malformed(f"{str(folder.path)!r} has malformed details", "write the web again"):
         details = folder.details
         columns, rows = (int(n) for n in details["beam"]["pixels"])
         gray, scale = GrayCurve.parse(details["frames"]["gray"]), float(details["frames"]["scale"])
-    except (KeyError, TypeError, BadInput) as error:
-        raise StorageError(f"{str(folder.path)!r} has malformed details: {error}; write the web again") from error
     low, high = max(first, 0), max(min(first + poses, folder.frames), 0)
     images, times = np.zeros((poses, rows, columns), np.uint8), np.zeros(poses, np.float32)
     if low < high:

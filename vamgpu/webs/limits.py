@@ -163,7 +163,7 @@ class WebLimits:
         """Least speed [mm/s] at which the resin flows less than one advance while it is lit; 0 for a gel (S22)."""
         if self.viscosity is None:
             return 0.0
-        return self.flow_speed(self.viscosity) * self.lit_way / self.advance
+        return self.speed * self.viscosity_needed / self.viscosity
 
     @property
     def broken(self) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ class WebLimits:
         if self.defocus > 0.5 * self.depth_of_focus:
             found.append(
                 f"{self.lens.bins} depth bins leave {self.defocus:.3g} mm of defocus, more than half the "
-                f"depth of focus of {self.depth_of_focus:g} mm; {self.bins_needed} bins would do"
+                f"depth of focus of {self.depth_of_focus:g} mm; use {self.bins_needed} bins"
             )
         return tuple(found)
 
@@ -199,10 +199,6 @@ class WebLimits:
     def viscosity_needed(self) -> float:
         """Viscosity [mJ·s/mm³] above which resin flows slower than this: ρ·g·τ²/(2·u) on a vertical film (S22)."""
         return self.density * GRAVITY * self.roller.film.thickness**2 / (2.0 * self.tolerable_flow)
-
-    def flow_speed(self, viscosity: float) -> float:
-        """Speed [mm/s] of the surface of a film that hangs vertically (S22)."""
-        return self.density * GRAVITY * self.roller.film.thickness**2 / (2.0 * positive("viscosity", viscosity))
 
     @property
     def window(self) -> float:

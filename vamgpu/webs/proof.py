@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend import open_device
-from vamgpu.backend.cores import ahead
+from vamgpu.backend.cores import ahead, together
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError
 from vamgpu.geometry import Beam
-from vamgpu.metrics.segments import segment_windows
 from vamgpu.operators.web import WebProjection
+from vamgpu.storage.reading import malformed
 from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.drift import clouded, drifts_of, gains
 from vamgpu.webs.frame_light import light_of
 from vamgpu.webs.layout import SegmentLayout
-from vamgpu.webs.report import write_report
+from vamgpu.webs.report import page_of
 from vamgpu.webs.section import lit_by
 from vamgpu.webs.store import WebFolder
 
@@ -76,6 +76,15 @@ class WebProof:
     gain: np.ndarray | None = None  # see `prove_web`
 
     @property
+    def verdict(self) -> tuple[bool, str]:
+        """Whether every voxel prints correctly, and a sentence."""
+        missing, excess = (sum(getattr(score, name) for score in self.segments) for name in ("missing", "excess"))
+        total = int(self.counts.sum())
+        return missing + excess == 0, (
+            f"{missing + excess:,} of {total:,} voxels print incorrectly: {missing:,} missing, {excess:,} excess."
+        )
+
+    @property
     def window(self) -> float:
         """The narrowest strict process window of any segment."""
         return min(score.window for score in self.segments)
@@ -86,7 +95,7 @@ class WebProof:
 
     def report(self, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()) -> Path:
         """Write the HTML page; contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
-        return write_report(self, path, title=title, contrast=contrast)
+        return page_of(self, title or self.folder.path.stem, contrast).write(path)
 
 
 class _Simulation:
@@ -96,7 +105,7 @@ class _Simulation:
         self, folder: WebFolder, device: Device, wrap: Wrap | None = None, gain: np.ndarray | None = None
     ) -> None:
         self.folder, self.device = folder, device
-        try:
+        with malformed(f"{str(folder.path)!r} has malformed details", "write the web again"):
             details = folder.details
             rho, z = details["grid"]["section"]
             self.beam = Beam(tuple(details["beam"]["pixels"]), details["beam"]["pitch"])
@@ -106,10 +115,8 @@ class _Simulation:
             self.gain = gains(drifts, 0, folder.frames) if gain is None else gain
             window, core = (int(details["layout"][name]) for name in ("window", "core"))
             section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
-            focus = details.get("focus")
+            focus = details["frames"]["focus"]
             wrap = lit_by(wrap, 1 if focus is None else len(focus["planes"]))
-        except (KeyError, TypeError, BadInput) as error:
-            raise StorageError(f"{str(folder.path)!r} has malformed details: {error}; write the web again") from error
         self.light = light_of_pose(wrap, section, self.beam, device)
         one = float(wrap.advance / section.edges[0])
         layout = SegmentLayout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
@@ -172,7 +179,7 @@ def prove_web(
     edges = np.linspace(0.0, REACH, BINS + 1)
     counts, windows, spans = [], [], []
     for piece in simulation.pieces(None):
-        windows.append(_windows(piece))  # it refuses doses that are not numbers
+        windows.append(piece_windows(piece.dose, piece.target))  # it refuses doses that are not numbers
         counts.append(_counted(piece.dose, piece.target))
         spans.append((piece.number, piece.columns))
     if not counts:
@@ -180,7 +187,9 @@ def prove_web(
             f"{str(folder.path)!r} has {folder.frames} frames, and no column is lit at all angles yet; resume it"
         )
     total = np.sum(counts, axis=0)
-    at = _best(total) if threshold is None else int(np.clip(np.searchsorted(edges, threshold), 0, BINS - 1))
+    above = total[:, ::-1].cumsum(axis=1)[:, ::-1]
+    best = int(np.argmax(above[1] / np.maximum(1, total[1].sum() + above[0])))
+    at = best if threshold is None else int(np.clip(np.searchsorted(edges, threshold), 0, BINS - 1))
     scores = tuple(
         _score(folder, span, count, window, at) for span, count, window in zip(spans, counts, windows, strict=True)
     )
@@ -202,13 +211,6 @@ def _counted(dose: np.ndarray, target: np.ndarray) -> np.ndarray:
     return sum(parts, np.zeros(2 * BINS, np.int64)).reshape(2, BINS)
 
 
-def _windows(piece: WebPart) -> tuple[float, float]:
-    """Strict and trimmed process window of a piece; 0 if it has no part."""
-    found = segment_windows(piece.dose, piece.target, len(piece.dose))
-    strict, trimmed = np.nan_to_num([found.strict[0], found.trimmed[0]])
-    return float(strict), float(trimmed)
-
-
 def _split(counts: np.ndarray, at: int) -> tuple[int, int, int]:
     """Voxels correctly printed, missing, and in excess, with the lower edge of bin ``at`` as threshold."""
     return int(counts[1, at:].sum()), int(counts[1, :at].sum()), int(counts[0, at:].sum())
@@ -219,11 +221,6 @@ def _iou(counts: np.ndarray, at: int) -> float:
     return right / max(1, right + missing + excess)
 
 
-def _best(counts: np.ndarray) -> int:
-    above = counts[:, ::-1].cumsum(axis=1)[:, ::-1]
-    return int(np.argmax(above[1] / np.maximum(1, counts[1].sum() + above[0])))
-
-
 def _score(
     folder: WebFolder, span: tuple[int, tuple[int, int]], counts: np.ndarray, windows: tuple[float, float], at: int
 ) -> PieceScore:
@@ -231,3 +228,23 @@ def _score(
     _, missing, excess = _split(counts, at)
     record: Any = folder.segments[number]
     return PieceScore(columns, _iou(counts, at), *windows, missing, excess, record.loss[1], record.saturated)
+
+
+def piece_windows(dose: np.ndarray, part: np.ndarray) -> tuple[float, float]:
+    """Strict and trimmed process window of a dose [l, rho, z] for a part, boolean [l, rho, z]; 0 without a part."""
+    # Both are relative to the greatest dose. strict: least dose in the part − greatest outside. trimmed: 1 % quantile
+    # in it − 99 % quantile outside. Raises `BadInput` for doses that are not finite.
+    if odd := np.count_nonzero(~np.isfinite(dose)):
+        raise BadInput(f"{odd} doses are NaN or infinite; expected finite numbers")
+    inside, outside = ahead(lambda where: dose[where], (part, ~part))
+    if not inside.size:
+        return 0.0, 0.0
+    (least, one_in), (greatest, one_out) = together(
+        lambda: (inside.min(), np.quantile(inside, 0.01, method="lower")), lambda: _high(outside)
+    )
+    top = float(dose.max()) or 1.0
+    return (float(least) - max(float(greatest), 0.0)) / top, float(one_in - one_out) / top
+
+
+def _high(outside: np.ndarray) -> tuple[float, float]:
+    return (outside.max(), np.quantile(outside, 0.99, method="higher")) if outside.size else (0.0, 0.0)

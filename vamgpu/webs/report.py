@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,22 +23,16 @@ SHOWN = 9.0
 SLICES_NOTE = "Slices of the same piece across the web; l runs to the right, the outer face is at the top."
 WRAPPED_NOTE = "Light comes from below, refracts at the outer face, is absorbed in the film and ends at the roller."
 CONTRAST_NOTE = (
-    "Share ξ of the resin's response to the best dose that is in the part, for one random target and light within "
-    "arcsin m of the normal; m is the index of the bath over that of the resin. For smaller m, fewer angles enter the "
-    "film."
+    "ξ is the fraction of the resin's response that lies in the part, for the best dose of a random target and light "
+    "within arcsin m of the normal. m is the index of the bath divided by that of the resin. For smaller m, fewer "
+    "angles enter the film."
 )
-
-
-def write_report(
-    proof: WebProof, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()
-) -> Path:
-    """Write the page of a proved web. contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
-    return page_of(proof, title or proof.folder.path.stem, contrast).write(path)
 
 
 def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]] = ()) -> Page:
     """The page of a proved web."""
-    peak = _peak(proof)
+    total = proof.counts.sum(axis=0).cumsum()
+    peak = float(proof.edges[int(np.searchsorted(total, 0.999 * total[-1])) + 1])  # the brightest in pictures
     strips, shown = views.Strips(proof.segments[-1].columns[1], proof.threshold), None
     middle = len(proof.segments) // 2
     for k, piece in enumerate(proof.pieces()):
@@ -48,22 +41,25 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
             shown = piece
     assert shown is not None
     data, note = _solid(proof, shown, peak)
-    missing, excess = (sum(getattr(score, name) for score in proof.segments) for name in ("missing", "excess"))
-    total = int(proof.counts.sum())
+    good, said = proof.verdict
     focus = " and the focus planes that show them" if proof.folder.details["frames"]["focus"] is not None else ""
+    roller, frame = wrap_from(proof.folder.details["wrap"]), proof.folder.frame(proof.folder.frames // 2)
+    assert isinstance(roller, Roller)
+    lit = frame[frame.shape[0] // 2].astype(np.float64)
+    wrapped = views.wrapped_chart(proof.light, proof.grid, roller, lit, np.ones(len(lit)))
     histogram = views.histogram_chart(proof.counts, proof.edges, proof.threshold, not contrast)
     segments = views.segments_chart(proof.segments, proof.grid.edges[0])
     return Page(
         "Web proof",
         title,
-        f"{missing + excess:,} of {total:,} voxels print incorrectly: {missing:,} missing, {excess:,} excess.",
-        missing + excess == 0,
+        said,
+        good,
         _tiles(proof),
         [
             Card("Along the web", *(Images([strip], "strip") for strip in strips.pictures(peak)), Legend(), wide=True),
             Card("Printed film", SurfaceView(f"{1e3 * max(proof.grid.edges):.3g}"), note=note),
             Card("Layer by layer", Slices(), note=SLICES_NOTE),
-            Card("Light about the roller", Chart(_wrapped(proof)), note=WRAPPED_NOTE, wide=True),
+            Card("Light about the roller", Chart(wrapped), note=WRAPPED_NOTE, wide=True),
             Card("Dose inside and outside the part", Chart(histogram), wide=not contrast),
             *([Card("Contrast against the index ratio", Chart(views.contrast_chart(contrast)), note=CONTRAST_NOTE)]
               if contrast else []),
@@ -74,12 +70,6 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
         ],
         data=data,
     )  # fmt: skip
-
-
-def _peak(proof: WebProof) -> float:
-    """Dose that 99.9 % of the voxels do not exceed: the brightest in pictures."""
-    total = proof.counts.sum(axis=0).cumsum()
-    return float(proof.edges[int(np.searchsorted(total, 0.999 * total[-1])) + 1])
 
 
 def _solid(proof: WebProof, piece: WebPart, peak: float) -> tuple[dict[str, Any], str]:
@@ -105,14 +95,6 @@ def _surface(values: np.ndarray, level: float, edges: np.ndarray) -> surface.Sur
     found = surface.iso_surface(values, level, 1.0)
     points = found.points * edges
     return replace(found, points=points, normals=surface.vertex_normals(points, found.faces))
-
-
-def _wrapped(proof: WebProof) -> str:
-    roller = wrap_from(proof.folder.details["wrap"])
-    assert isinstance(roller, Roller)
-    frame = proof.folder.frame(proof.folder.frames // 2)
-    shown = frame[frame.shape[0] // 2].astype(np.float64)
-    return views.wrapped_chart(proof.light, proof.grid, roller, shown, np.ones(len(shown)))
 
 
 def _tiles(proof: WebProof) -> list[Figure]:

@@ -28,7 +28,7 @@ def one_column(
 
 
 def lit_by(wrap: Wrap, planes: int) -> Wrap:
-    """The machine with the focus planes of a lens, each of which is shown for its part of the lit share of a step."""
+    """The machine with the focus planes of a lens: each is shown for an equal part of the lit share of a step."""
     return replace(wrap, lit_share=wrap.lit_share / planes) if isinstance(wrap, Roller) else wrap
 
 

@@ -13,7 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, Diverged, DivergenceWarning
 from vamgpu.geometry import Beam
 from vamgpu.kernels.dwell import weigh_poses
-from vamgpu.kernels.lanes import copy_slices
+from vamgpu.kernels.stack import put_slices
 from vamgpu.kernels.update import linear
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
@@ -32,7 +32,7 @@ from vamgpu.webs.layout import SegmentLayout
 LAST = "the light of the segment is its last"
 """Its name in messages of divergence."""
 TOGETHER = 1 << 26
-"""Bytes of a field that are made at a time before they are uploaded."""
+"""Bytes of a field that the host makes at a time and uploads."""
 STABLE = 4 / 3
 """Longest stable step of Nesterov's method, over the inverse of the loss's largest curvature, as momentum nears 1."""
 PACE = 5 / 6
@@ -72,7 +72,8 @@ class Solver:
     def __init__(
         self, layout: SegmentLayout, grid: WebGrid, beam: Beam, light: Propagation, method: Method, device: Device
     ) -> None:
-        self.norm: BCLP | None = _coupled_by_norm(method)
+        coupled = method if isinstance(method, BCLP) and method.coupling and not method.apart(0.0).coupling else None
+        self.norm: BCLP | None = coupled  # only the power of its norm couples positions of a web
         loss = local_loss(method if self.norm is None else self.norm.apart(0.0))
         self.layout, self.device = layout, device
         whole = WebGrid((layout.columns, *grid.shape[1:]), grid.pitch)
@@ -130,7 +131,8 @@ class Solver:
         self.device.launch(linear, a=0.0, x=light, b=0.0, y=light, floor=1.0, out=light)
         self.operator.T(light, out=dose)
         middle = self.device.empty((*dose.shape[:2], 1))
-        self.device.launch(copy_slices, source=dose, first=dose.shape[2] // 2, lanes=dose, field=middle)
+        given = {"first": -(dose.shape[2] // 2), "factor": 1.0, "keep": 0, "lanes": dose}
+        self.device.launch(put_slices, source=dose, **given, stack=middle)
         lit = middle.numpy()
         endless = np.broadcast_to(lit[len(lit) // 2], lit.shape)
         share = np.divide(lit, endless, out=np.ones_like(lit), where=endless > 0.0)
@@ -226,11 +228,6 @@ class Solver:
             shape = self.operator.domain.shape if name == "dose" else self.operator.range.shape
             self._fields[name] = self.device.empty(shape)
         return self._fields[name]
-
-
-def _coupled_by_norm(method: Method) -> BCLP | None:
-    """The method, if at most the power of its norm couples the positions of a web."""
-    return method if isinstance(method, BCLP) and method.coupling and not method.apart(0.0).coupling else None
 
 
 def local_loss(method: Method) -> Loss:

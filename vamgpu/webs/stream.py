@@ -213,15 +213,12 @@ class Stream:
             return (f"{self.method!r} maximizes the window, and each segment continues the one before; expected a loss "
                     "that is a sum over voxels, such as the method bclp")  # fmt: skip
         if self.total is None or isinstance(self.tiles, Iterator):
-            return "the web has no length, or its tiles come once only"
+            return "the web has no length, or its tiles can be read only once"
         return ""
-
-    def _columns(self) -> Columns:
-        return Columns(self.tiles, self.grid, self.length)
 
     def _settled(self) -> Columns:
         """Columns from the beginning, if the first segment sets a number for all segments."""
-        columns, solver, layout = self._columns(), self.solver, self.layout
+        columns, solver, layout = Columns(self.tiles, self.grid, self.length), self.solver, self.layout
         if isinstance(solver, Solver) and solver.norm is not None:
             first = layout.origin(0)
             fractions = columns.take(first, first + layout.columns)
@@ -303,7 +300,6 @@ class Stream:
             )
         return scale
 
-    # ---- to a folder -----------------------------------------------------------------------------------------
     def write(
         self, path: str | Path, *, resume: bool = True, overwrite: bool = False, progress: Progress | None = None,
         spread: SegmentSource | None = None,
@@ -341,7 +337,7 @@ class Stream:
             found = self.segments(first, known, before, past=past)
         else:
             if before is not None:
-                self._check_same(self._columns(), first, before)
+                self._check_same(Columns(self.tiles, self.grid, self.length), first, before)
             found = spread(range(first, self.total or first), known or self.scale)
         for segment in found:
             if not folder.segments:

@@ -64,7 +64,9 @@ class Columns:
             return
         item = next(self._tiles, _END)
         if item is _END:
-            self._end_early()
+            if self.limit is not None or self._read == 0:
+                raise self._short(self._read, "the missing tiles to continue")
+            self._ended = True
             return
         columns = self._checked(item)
         if self.limit is not None:
@@ -73,11 +75,6 @@ class Columns:
         self._held.append(columns)
         while self._held and self._first + len(self._held[0]) <= start:
             self._first += len(self._held.popleft())
-
-    def _end_early(self) -> None:
-        if self.limit is not None or self._read == 0:
-            raise self._short(self._read, "the missing tiles to go on with")
-        self._ended = True
 
     def _short(self, columns: int, remedy: str) -> TileError:
         expected = "at least one" if self.limit is None else f"{self.limit} ({self._mm(self.limit)})"

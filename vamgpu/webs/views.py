@@ -66,7 +66,7 @@ def wrapped_chart(light: Propagation, grid: WebGrid, roller: Roller, frame: np.n
             axis.plot(roller.radius * np.cos(turn), roller.radius * np.sin(turn), color=FAINT, lw=1)
             axis.set(aspect="equal", title=name, xlabel="x [mm]", ylabel="y [mm]")
             axis.grid(False)
-        axes[0].figure.colorbar(drawn, ax=list(axes), label="absorbed over its greatest", shrink=0.8)
+        axes[0].figure.colorbar(drawn, ax=list(axes), label="absorbed / greatest", shrink=0.8)
 
     return svg(draw, WIDE, 4.6, ncols=2)
 

@@ -27,7 +27,7 @@ BRIGHTEST = 1e12
 OUTSIDE = 0.78
 """Greatest dose outside the part for the first light, in units of the part's dose."""
 SEEN = 1e-6
-"""Share of a voxel's light that must come from angles still to be solved for it to count."""
+"""A voxel counts if the angles still to be solved give it at least this share of its light."""
 
 
 @dataclass(frozen=True, eq=False)

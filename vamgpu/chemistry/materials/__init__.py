@@ -1,7 +1,5 @@
 """Resins, inhibitors, glasses and liquids: numbers with their sources, from files that anybody can write."""
 
-from __future__ import annotations
-
 from vamgpu.chemistry.materials.clear_media import Clear, Glass, Liquid
 from vamgpu.chemistry.materials.dispersion import Dispersion
 from vamgpu.chemistry.materials.extinction import Extinction

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from vamgpu.chemistry.materials.source import Numbers, Source, Sourced, Wavelengths
+from vamgpu.chemistry.materials.source import Numbers, Source, Wavelengths
 from vamgpu.errors import OutsideData
 from vamgpu.geometry import positive
-from vamgpu.schema.section import Listed
+from vamgpu.schema.section import Listed, Section
 from vamgpu.units import nm, um
 
 NEAR = 0.5 * nm
@@ -29,7 +29,7 @@ def within(name: str, wavelength: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-class Spectrum(Sourced):
+class Spectrum(Section):
     """Numbers against wavelength."""
 
     wavelength: Wavelengths  # in vacuum [mm], ascending

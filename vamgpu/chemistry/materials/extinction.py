@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from math import pi
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from vamgpu.chemistry.materials.dispersion import Spectrum, within
-from vamgpu.quantity import parse
+from vamgpu.chemistry.materials.source import quantities
 from vamgpu.schema.section import Listed
-
-
-def _absorptions(values: Any) -> Any:
-    if not isinstance(values, list):
-        return values
-    return tuple(parse(text, "an absorption", zero=True) for text in values)
 
 
 class Extinction(Spectrum):
@@ -29,7 +23,7 @@ class Extinction(Spectrum):
         source: Source of the numbers.
     """
 
-    absorption: Annotated[tuple[float, ...] | None, BeforeValidator(_absorptions)] = None
+    absorption: Annotated[tuple[float, ...] | None, quantities("an absorption", zero=True)] = None
     k: Annotated[tuple[Annotated[float, Field(ge=0)], ...] | None, Listed] = None
 
     @model_validator(mode="after")

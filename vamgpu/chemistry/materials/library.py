@@ -8,15 +8,15 @@ from typing import ClassVar, Self
 from pydantic import ValidationError
 
 from vamgpu.chemistry.materials.extinction import Extinction
-from vamgpu.chemistry.materials.source import Sourced
 from vamgpu.errors import MaterialError, OutsideData
 from vamgpu.schema.registry import nearest_of
+from vamgpu.schema.section import Section
 from vamgpu.storage.reading import load_toml
 
 DATA = Path(__file__).parent / "data"
 
 
-class Material(Sourced):
+class Material(Section):
     """A table of a file of its own; ``folder`` is the bundled folder for its kind."""
 
     folder: ClassVar[str]
@@ -44,7 +44,9 @@ class Material(Sourced):
         try:
             return cls.model_validate(data)
         except ValidationError as error:
-            raise MaterialError("\n".join(_complaint(path, entry) for entry in error.errors())) from error
+            said = ((".".join(map(str, each["loc"])) or "the file", each["msg"]) for each in error.errors())
+            wrong = (f"{path}: {where}: {message.removeprefix('Value error, ')}" for where, message in said)
+            raise MaterialError("\n".join(wrong)) from error
 
 
 class Absorbing(Material):
@@ -59,9 +61,3 @@ class Absorbing(Material):
                 f"no source gives the absorption of {self.name}; add an [extinction] table in a file of your own"
             )
         return self.extinction.at(wavelength)
-
-
-def _complaint(path: Path, entry: object) -> str:
-    where = ".".join(str(step) for step in entry["loc"]) or "the file"  # type: ignore[index]
-    message = str(entry["msg"]).removeprefix("Value error, ")  # type: ignore[index]
-    return f"{path}: {where}: {message}"

@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from vamgpu.quantity import parse
-from vamgpu.schema.section import Listed
+from vamgpu.schema.section import Listed, Section
 
 
 def _quantity(kind: str) -> BeforeValidator:
     return BeforeValidator(lambda text: parse(text, kind))
 
 
-def _quantities(kind: str) -> BeforeValidator:
+def quantities(kind: str, zero: bool = False) -> BeforeValidator:
+    """Reads a list of quantities."""
+
     def read(values: Any) -> Any:
-        return tuple(parse(text, kind) for text in values) if isinstance(values, list) else values
+        return tuple(parse(text, kind, zero=zero) for text in values) if isinstance(values, list) else values
 
     return BeforeValidator(read)
 
 
 Source = Annotated[str, Field(min_length=12, pattern=r"\S")]
 """Source of a number, precise enough to find it again."""
-Wavelengths = Annotated[tuple[float, ...], _quantities("a wavelength"), Field(min_length=1)]
+Wavelengths = Annotated[tuple[float, ...], quantities("a wavelength"), Field(min_length=1)]
 Numbers = Annotated[tuple[float, ...], Listed, Field(min_length=1)]
-
-
-class Sourced(BaseModel):
-    """A table of a material's file."""
-
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 Value = TypeVar("Value")
 
 
-class Number(Sourced, Generic[Value]):
+class Number(Section, Generic[Value]):
     """A number and where it was found."""
 
     value: Value

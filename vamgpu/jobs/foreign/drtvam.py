@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from math import ceil, inf
+from math import ceil, inf, radians, tan
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +22,20 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Turntable
 from vamgpu.jobs.build import pitch_of
+from vamgpu.jobs.foreign.containers import Container, check_keys, container, file_of, index, mm, number
 from vamgpu.jobs.foreign.patterns import STEPPED, ForeignPatterns
 from vamgpu.jobs.foreign.pictures import images_of
+from vamgpu.jobs.foreign.vamtoolbox import is_preset, read_preset
 from vamgpu.jobs.model import JobFile
 from vamgpu.methods.plan_folder import target_of as known_target
 from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
+from vamgpu.optics.scattering import SHARPEST
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
 from vamgpu.printing.frames import Frames
 from vamgpu.scene.body import Body
 from vamgpu.scene.scene import Scene
-from vamgpu.schema.registry import nearest_of
 from vamgpu.storage.atomic import check_folder, replacing
 from vamgpu.storage.images import write_exr
 from vamgpu.storage.numpy_files import map_npy, read_npz
@@ -47,7 +49,8 @@ PATTERNS = ("patterns.npz", "patterns", "patterns_normalized_uint8.npz")
 KEYS = {
     "": "vial projector sensor final_sensor target output loss optimizer n_steps spp spp_ref spp_grad spp_filter_radon "
         "max_depth max_depth_ref rr_depth rr_depth_ref time progressive surface_aware filter_radon filter_corner "
-        "transmission_only regular_sampling diffusion physical_model psf_analysis",
+        "transmission_only regular_sampling diffusion physical_model psf_analysis print_time "
+        "export_wasserstein_distance spp_final",
     "vial": "type height ior ior_surrounding medium occlusions r r_int r_ext w_int w_ext filename_vial_outer "
             "filename_vial_inner r_int_outer r_ext_outer r_int_inner r_ext_inner ior_outer ior_inner ior_inside_inner",
     "vial.medium": "ior extinction albedo phase",
@@ -56,16 +59,19 @@ KEYS = {
     "sensor": "type scalex scaley scalez film", "final_sensor": "type scalex scaley scalez film",
     "sensor.film": "type resx resy resz surface_aware", "final_sensor.film": "type resx resy resz surface_aware",
     "target": "filename size box_center_x box_center_y box_center_z scale_and_center",
-    "loss": "type reduction K M tl tu t_limit weight_object weight_void weight_limit weight_sparsity",
-    "diffusion": "type D printing_time number_rotations",
+    "loss": "type reduction K M tl tu tp top tinhibitor t_limit weight_object weight_void weight_limit weight_sparsity",
+    "diffusion": "type D printing_time number_rotations", "filter_corner": "dist radius",
+    "physical_model": "type inhibitor_init diffusion_coefficient number_time_steps",
 }  # fmt: skip
-"""Keys of version 0.9, by table; those of the optimizer and of phases are Mitsuba's."""
+"""Keys of versions up to 0.9, by table; those of the optimizer and of phases are Mitsuba's."""
 LEFT_OUT = {
-    "diffusion": "add [resin.diffusion] to the job", "physical_model": "describe the resin in the job",
     "final_sensor": "all resin inside the sensor is judged", "time": "it follows from irradiance and dose",
     "psf_analysis": "light single pixels in Python",
 }  # fmt: skip
 """Keys that change a print and are not imported, and what to do."""
+OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic")
+"""Surfaces that no light passes."""
+LOSSES = ("threshold", "l2")
 METHOD = ("loss", "optimizer", "n_steps", "progressive", "filter_radon", "filter_corner")
 """Keys of its method, which only a job that is to be solved would have."""
 ORIGIN = (0.0, 0.0, 0.0)
@@ -75,12 +81,16 @@ ORIGIN = (0.0, 0.0, 0.0)
 def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
     """Patterns of a configuration. Raises `StorageError`, `BadInput`."""
     with _explaining(path):
-        said = parse_json(read_text(path))
+        said = parse_json(read_text(path), finite=False)
+        if is_preset(said):
+            raise BadInput(f"{str(path)!r} is a preset of VAMToolbox, which has no patterns; make a job of it with "
+                           "--out job.toml, or import its sinogram")  # fmt: skip
         setup = _set_up(path, said)
         place = patterns if patterns is not None else _beside(path, said)
         light = _patterns(place) if place.is_file() else images_of(place)[0]
-    if setup.inserts:
-        raise BadInput(f"{str(path)!r} has occlusions, without which its patterns cannot be judged; make a job of "
+    if setup.occlusions or setup.container.bodies:
+        has = "occlusions" if setup.occlusions else f"a container that is {said['vial']['type']!r}"
+        raise BadInput(f"{str(path)!r} has {has}, without which its patterns cannot be judged; make a job of "
                        "it with --out job.toml, then import its folder of EXR images with --job job.toml")  # fmt: skip
     if light.ndim != 3:
         raise BadInput(f"its patterns have shape {light.shape}; expected [pattern, row, column]")
@@ -100,15 +110,24 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
 def read_task(path: Path) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Solid]], tuple[str, ...]]:
     """Job of a configuration, and its bodies, the part first. Raises `StorageError`, `BadInput`, `MeshError`."""
     with _explaining(path):
-        said = parse_json(read_text(path))
+        said = parse_json(read_text(path), finite=False)
+        if is_preset(said):
+            return read_preset(path.parent, said)
         setup, projector = _set_up(path, said), said["projector"]
         pixels = _count(projector, "resx"), _count(projector, "resy")
         tables = setup.tables(_count(projector, "n_patterns"), pixels)
         own = [name for name in METHOD if name in said]
+        inside, void = (number(said.get("loss", {}), f"weight_{each}", 1.0) for each in ("object", "void"))
+        weight = {} if inside == void else {"weight": inside / void}
+    part, across = setup.part.placed(), setup.container.across
     tables["target"]["origin"] = list(ORIGIN)
+    if across is not None:
+        tall = 2 * ceil(float(np.abs(part.bounds[:, 2]).max()) / setup.voxel - 1e-6)
+        tables["target"]["shape_of_grid"] = [across, across, max(tall, 4)]
     notes = (f"its {', '.join(own)} left out: `vam solve` has methods of its own",) if own else ()
-    inserts = [({"role": "insert", **keys}, load_mesh(mesh, center=False)) for mesh, keys in setup.inserts]
-    return tables, [({}, setup.part.placed()), *inserts], (*setup.notes, *notes)
+    notes += ('its weights count in methods that minimize a loss, such as solve.method = "lbfgs"',) if weight else ()
+    inserts = [({"role": "insert", **keys}, load_mesh(mesh, center=False)) for mesh, keys, _ in setup.occlusions]
+    return tables, [(weight, part), *setup.container.bodies, *inserts], (*setup.notes, *notes)
 
 
 @contextmanager
@@ -119,7 +138,8 @@ def _explaining(path: Path) -> Iterator[None]:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         if isinstance(error, StorageError):
             raise
-        raise StorageError(f"cannot read {str(path)!r}: {error}; expected a configuration of Dr.TVAM") from error
+        reason = getattr(error, "strerror", None) or error
+        raise StorageError(f"cannot read {str(path)!r}: {reason}; expected a configuration of Dr.TVAM") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, BadInput):
             raise
@@ -134,64 +154,132 @@ class _SetUp:
 
     pitch: float
     voxel: float
-    vessel: dict[str, Any]
+    container: Container
+    resin: dict[str, Any]
     clockwise: bool
     part: _Part
-    inserts: tuple[tuple[Path, dict[str, Any]], ...]
+    occlusions: tuple[tuple[Path, dict[str, Any], tuple[str, ...]], ...]
     notes: tuple[str, ...]
 
     def tables(self, angles: int, pixels: tuple[int, int]) -> dict[str, Any]:
         """Tables of a job file for patterns of that size."""
         return {
-            "target": {"pitch": _mm(self.voxel)},
-            "beam": {"pitch": _mm(self.pitch), "pixels": list(pixels), "spread": "0 mm"},
+            "target": {"pitch": mm(self.voxel)},
+            "beam": {"pitch": mm(self.pitch), "pixels": list(pixels), "spread": "0 mm"},
             "turntable": {"angles": angles, "lit_share": 0.0},
-            **self.vessel,
+            **self.container.tables,
+            **self.resin,
         }
 
 
 def _set_up(path: Path, said: Any) -> _SetUp:
     _check_keys(said, "")
-    projector, sensor, target = (_table(said, name) for name in ("projector", "sensor", "target"))
-    vessel, vial_notes = _vessel(_table(said, "vial"))
-    pitch = _number(projector, "pixel_size")
-    notes = [STEPPED, *_projector(projector), *vial_notes]
-    notes += [f"its {name} is left out: {why}" for name, why in LEFT_OUT.items() if name in said]
+    projector, sensor, target, vial = (_table(said, name) for name in ("projector", "sensor", "target", "vial"))
     film = _table(sensor, "film")
-    voxel = min(_number(sensor, f"scale{axis}", 1.0) / _count(film, f"res{axis}", 256) for axis in "xyz")
-    _number(target, "size", 1.0)
-    width = 2.0 * _number(said["vial"], "r" if "vat" in vessel else "r_int")
-    box = tuple(min(_number(sensor, f"scale{axis}", 1.0), width if axis != "z" else inf) for axis in "xyz")
-    part = _Part(path.parent / str(target["filename"]), target, box)
+    if (loss := (said.get("loss") or {}).get("type", LOSSES[0])) not in LOSSES:
+        raise BadInput(f"its loss is {loss!r}; expected {' or '.join(LOSSES)}: correct it")
+    voxel = min(number(sensor, f"scale{axis}", 1.0) / _count(film, f"res{axis}", 256) for axis in "xyz")
+    occlusions = tuple(_insert(path.parent, each) for each in vial.get("occlusions", ()))
+    medium = _medium(_table(vial, "medium"))
+    found = container(vial, path.parent, voxel, medium.absorption)
+    alone = not found.bodies and not occlusions
+    found, pitch, notes = _projector(projector, found, alone)
+    straight = projector.get("type") != "lens" and "vial" in found.tables
+    scattering = medium.scattering(not (alone and straight))
+    resin = {name: table for name, table in (("scattering", scattering), ("resin", _physics(said))) if table}
+    notes = [STEPPED, *notes, *found.notes, *medium.notes(scattering)]
+    if "inhibitor_init" in (said.get("physical_model") or {}):
+        notes.append("its physical_model.inhibitor_init is left out: the inhibitor is the same everywhere")
+    notes += [note for *_, each in occlusions for note in each]
+    notes += [f"its {name} is left out: {why}" for name, why in LEFT_OUT.items() if name in said]
+    number(target, "size", 1.0)
+    width = 2.0 * (number(vial, "r") if "r" in vial else number(vial, "r_int") if "r_int" in vial else inf)
+    box = tuple(min(number(sensor, f"scale{axis}", 1.0), width if axis != "z" else inf) for axis in "xyz")
+    part = _Part(file_of(path.parent, target["filename"]), target, box)
     clockwise = bool(projector.get("clockwise", False))
-    inserts = tuple(_insert(path.parent, each) for each in said["vial"].get("occlusions", ()))
-    return _SetUp(pitch, voxel, vessel, clockwise, part, inserts, tuple(notes))
+    return _SetUp(pitch, found.voxel or voxel, found, resin, clockwise, part, occlusions, tuple(notes))
+
+
+@dataclass(frozen=True)
+class _Medium:
+    """Absorption and scattering of a resin [1/mm], and its phase function."""
+
+    extinction: float
+    albedo: float
+    phase: Mapping[str, Any]
+
+    @property
+    def absorption(self) -> float:
+        return self.extinction * (1.0 - self.albedo)
+
+    def scattering(self, beside: bool) -> dict[str, Any]:
+        """Its table in a job; none if it cannot be computed, as ``beside`` inserts, in a vat or in diverging light."""
+        coefficient, kind = self.extinction * self.albedo, self.phase.get("type")
+        shapes = {"rayleigh": "rayleigh", "isotropic": 0.0, "hg": self.phase.get("g", 0.8)}
+        if beside or not coefficient or kind not in shapes:
+            return {}
+        return {"coefficient": f"{coefficient:.12g} 1/mm", "anisotropy": shapes[kind]}
+
+    def notes(self, computed: Mapping[str, Any]) -> list[str]:
+        """What is left out."""
+        if not self.extinction * self.albedo or computed:
+            return []
+        return [f"its resin scatters (albedo {self.albedo:g}, phase {self.phase.get('type')!r}), which is left out: "
+                f"{1.0 - self.albedo:.3g} of its extinction counts as absorption"]  # fmt: skip
+
+
+def _medium(said: Mapping[str, Any]) -> _Medium:
+    albedo, phase = number(said, "albedo", 0.0, zero=True), said.get("phase") or {}
+    if albedo > 1.0:
+        raise ValueError(f"albedo, which is {albedo:g}; expected a share from 0 to 1")
+    if not isinstance(phase, dict):
+        raise TypeError("phase, which is not a table")
+    if albedo and "phase" not in said:
+        raise ValueError(f"albedo, which is {albedo:g} without a phase; expected a phase function, as in Dr.TVAM")
+    if phase.get("type") == "hg" and not abs(g := number(phase, "g", 0.8, least=-inf)) <= SHARPEST:
+        raise ValueError(f"g, which is {g:g}; expected −{SHARPEST} to {SHARPEST}")
+    return _Medium(number(said, "extinction", zero=True), albedo, phase)
+
+
+def _physics(said: Mapping[str, Any]) -> dict[str, Any]:
+    """[resin] for an inhibitor that diffuses. Without diffusion, it only raises the dose that prints."""
+    model, older = (_table(said, name) if said.get(name) else {} for name in ("physical_model", "diffusion"))
+    kind = model.get("type")
+    if kind not in (None, "inhibitor", "inhibitor_diffusion"):
+        raise BadInput(f"its physical_model is {kind!r}; expected inhibitor or inhibitor_diffusion: correct it")
+    if kind == "inhibitor_diffusion":
+        rate, seconds = number(model, "diffusion_coefficient"), number(said, "print_time")
+    elif older:
+        rate, seconds = number(older, "D", zero=True), number(older, "printing_time")
+    else:
+        return {}
+    return {} if not rate else {"diffusion": {"diffusivity": f"{rate!r} mm2/s", "seconds": f"{seconds!r} s"}}
 
 
 def _check_keys(said: Any, place: str) -> None:
-    """Raises `BadInput` for a key that no version has; those that begin with _ are remarks."""
-    known = KEYS[place].split()
+    """Raises `BadInput` for a key that no version has."""
+    for key in set(said) - set(KEYS[place].split()) if isinstance(said, dict) else ():
+        if homes := [name for name, keys in KEYS.items() if name and key in keys.split()]:
+            raise BadInput(f"its key {f'{place}.{key}'.lstrip('.')} is unknown; expected it in {' or '.join(homes)}: "
+                           "move it")  # fmt: skip
+    check_keys(said, KEYS[place].split(), place)
     for key, value in said.items() if isinstance(said, dict) else ():
-        name = f"{place}.{key}".lstrip(".")
-        if key not in known and not key.startswith("_"):
-            near = nearest_of(key, known)
-            raise BadInput(f"its key {name} is unknown; " + (f"did you mean {near}?" if near else f"expected one of "
-                           f"{', '.join(known)}: correct or remove it"))  # fmt: skip
-        if name in KEYS:
+        if (name := f"{place}.{key}".lstrip(".")) in KEYS:
             _check_keys(value, name)
 
 
-def _insert(folder: Path, said: Any) -> tuple[Path, dict[str, Any]]:
-    """File and keys of an occlusion: black by default, or clear. Raises `BadInput`."""
-    surface = said.get("bsdf", {"type": "diffuse"})
-    if surface.get("type") == "dielectric":
-        return folder / str(said["filename"]), {"index": _number(surface, "int_ior", least=1.0, zero=True)}
-    reflectance = surface.get("reflectance", 0.0)
+def _insert(folder: Path, said: Any) -> tuple[Path, dict[str, Any], tuple[str, ...]]:
+    """File, keys and note of an occlusion: black by default, or clear. Raises `BadInput`."""
+    surface, name = said.get("bsdf", {"type": "diffuse"}), said["filename"]
+    kind, reflectance = surface.get("type"), surface.get("reflectance", 0.0)
     shine = reflectance.get("value", 0.0) if isinstance(reflectance, dict) else reflectance
-    if surface.get("type") != "diffuse" or shine:
-        raise BadInput(f"its occlusion {said['filename']!r} has the surface {surface!r}; expected a black one "
-                       "(diffuse, reflectance 0) or a dielectric")  # fmt: skip
-    return folder / str(said["filename"]), {}
+    if kind == "dielectric":
+        return file_of(folder, name), {"index": index(surface, "int_ior")}, ()
+    if kind not in OPAQUE:
+        raise BadInput(f"its occlusion {name!r} has the surface {surface!r}; expected a dielectric or one of "
+                       f"{', '.join(OPAQUE)}: correct it")  # fmt: skip
+    shines = kind != "diffuse" or shine
+    return file_of(folder, name), {}, (f"reflections at {name} are left out: it counts as black",) if shines else ()
 
 
 class _Part:
@@ -232,8 +320,8 @@ def export_drtvam(frames: Frames, path: str | Path) -> Path:
     plan, place = frames.plan, Path(path)
     A, target = direct(getattr(plan, "operator", None)), None if plan is None else known_target(plan)
     if plan is None or not isinstance(A, Projection):
-        raise BadInput(f"got {frames!r} of {'no plan' if plan is None else repr(A)}; expected frames of a Projection: "
-                       "export those of a job that `vam solve` wrote")  # fmt: skip
+        raise BadInput(f"got frames {'without a plan' if plan is None else f'of a {type(A).__name__}'}; expected those "
+                       "of a Projection: export the frames of a job that `vam solve` wrote")  # fmt: skip
     said = _configuration(A, target)
     if place.is_dir():
         raise StorageError(f"{str(path)!r} is a folder, which is never replaced; remove it or choose another path")
@@ -254,7 +342,7 @@ def export_drtvam(frames: Frames, path: str | Path) -> Path:
 
 def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
     """A set-up as a configuration of Dr.TVAM. Raises `BadInput` if Dr.TVAM does not support it."""
-    if A.motion.theta is not None or A.motion.dwell is not None:
+    if not A.motion.is_even:
         raise BadInput(f"got angles of {A.motion}; expected equal steps and times over a full turn, as in Dr.TVAM")
     vessel = A.vessel
     medium: dict[str, Any] = {"albedo": 0.0, "extinction": float(getattr(vessel, "absorption", 0.0))}
@@ -266,8 +354,8 @@ def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
         medium["ior"] = getattr(vessel, "resin_index", 1.0)
         vial = {"type": "index_matched", "r": getattr(vessel, "radius", None) or 2.0 * A.grid.inscribed_radius}
     else:
-        raise BadInput(f"got {vessel!r}; expected a Vial, a Vat with a radius or no vessel, because Dr.TVAM has no "
-                       "other round vessel")  # fmt: skip
+        raise BadInput(f"got a {type(vessel).__name__}; expected a Vial, a Vat with a radius or no vessel, because "
+                       "Dr.TVAM has no other round vessel")  # fmt: skip
     (columns, rows), pitch = A.beam.pixels, A.beam.pitch
     film = {"type": "vfilm"} | {f"res{axis}": n for axis, n in zip("xyz", A.grid.shape, strict=True)}
     scales = {f"scale{axis}": n * A.grid.pitch for axis, n in zip("xyz", A.grid.shape, strict=True)}
@@ -291,66 +379,34 @@ def _table(said: Any, name: str) -> dict[str, Any]:
     return table
 
 
-def _number(said: Mapping[str, Any], name: str, default: float | None = None, *, least: float = 0.0,
-            zero: bool = False) -> float:  # fmt: skip
-    """A number above ``least`` (with ``zero``: at least ``least``)."""
-    value = said[name] if default is None else said.get(name, default)
-    real = isinstance(value, int | float) and not isinstance(value, bool)
-    if not real or not (value > least or (zero and value == least)):
-        raise ValueError(f"{name}, which is {value!r}; expected a number {'from' if zero else 'above'} {least:g}")
-    return float(value)
-
-
 def _count(said: Mapping[str, Any], name: str, default: int | None = None) -> int:
-    value = _number(said, name, default)
+    value = number(said, name, default)
     if value != int(value):
         raise ValueError(f"{name}, which is {value!r}; expected a whole number")
     return int(value)
 
 
-def _mm(value: float) -> str:
-    return f"{value!r} mm"
-
-
-def _projector(said: Mapping[str, Any]) -> list[str]:
-    """Ignored parts of a projector. Raises `BadInput` if its light is not parallel."""
+def _projector(said: Mapping[str, Any], found: Container, alone: bool) -> tuple[Container, float, list[str]]:
+    """Its light with the container in it, the pitch of its pixels at the axis, and notes. Raises `BadInput`."""
     kind, motion = said.get("type"), said.get("motion", "circular")
-    if kind not in ("collimated", "telecentric") or motion != "circular" or said.get("tilt"):
+    if motion != "circular" or said.get("tilt") or kind not in ("collimated", "telecentric", "lens"):
         raise BadInput(
-            f"its projector is {kind!r} with motion {motion!r}; expected a collimated or telecentric one on a "
+            f"its projector is {kind!r} with motion {motion!r}; expected a collimated, telecentric or lens one on a "
             "circle without a tilt: import its patterns as a folder of EXR images with your own job"
         )
-    if kind == "telecentric":
-        return ["its aperture is left out: the light counts as parallel; add [defocus] to the job"]
-    return []
-
-
-def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The table of a vessel, and what is left out of it. Raises `BadInput` if this library cannot model the vessel."""
-    medium, kind, notes = _table(said, "medium"), said.get("type"), []
-    albedo, extinction = _number(medium, "albedo", 0.0, zero=True), _number(medium, "extinction", zero=True)
-    if albedo > 1.0:
-        raise ValueError(f"albedo, which is {albedo:g}; expected a share from 0 to 1")
-    if albedo > 0.0:
-        notes.append(f"its resin scatters (albedo {albedo:g}), which is left out: {1 - albedo:.3g} of its extinction "
-                     "counts as absorption")  # fmt: skip
-    around = _number(said, "ior_surrounding", 1.0, least=1.0, zero=True)
-    resin = _number(medium, "ior", least=1.0, zero=True)
-    absorption = f"{extinction * (1.0 - albedo)!r} 1/mm"
-    if kind == "index_matched":
-        radius = _number(said, "r")
-        return {"vat": {"width": _mm(2.0 * radius), "radius": _mm(radius), "absorption": absorption}}, notes
-    if kind == "cylindrical":
-        inner = _number(said, "r_int")
-        outer, glass = _number(said, "r_ext", least=inner), _number(said, "ior", least=1.0, zero=True)
-        return {
-            "vial": {"radius": _mm(outer), "wall": _mm(round(outer - inner, 12)), "resin_index": resin,
-                     "wall_index": glass, "bath_index": around, "absorption": absorption}
-        }, notes  # fmt: skip
-    raise BadInput(
-        f"its vial is {kind!r}; expected index_matched or cylindrical: import its patterns as a folder of EXR images "
-        "with your own job, whose [vessel] describes the vial"
-    )
+    cropped = ["its crop is left out: pixels beyond it may be lit"] if {"cropx", "cropy"} & said.keys() else []
+    notes = [*cropped, "its aperture is left out: every pixel counts as in focus; add [defocus] to the job"]
+    if kind != "lens":
+        return found, number(said, "pixel_size"), notes if kind == "telecentric" else cropped
+    throw, focus = number(said, "distance"), number(said, "focus_distance")
+    wide = 2.0 * focus * tan(0.5 * radians(number(said, "fov"))) / _count(said, "resx", 256) if "fov" in said else None
+    pitch = throw / focus * (number(said, "pixel_size") if wide is None else wide)
+    ((name, vessel),) = found.tables.items()
+    light = {"throw": mm(throw), "vessel": {"kind": name, **vessel}}
+    if name == "vat" and alone:
+        return replace(found, tables={"light": {"kind": "cone", **light}}), pitch, notes
+    notes += ["its rows count as level, though light of a lens also spreads along the axis"]
+    return replace(found, tables={"vessel": {"kind": "fan", **light}}), pitch, notes
 
 
 def _beside(path: Path, said: Mapping[str, Any]) -> Path:

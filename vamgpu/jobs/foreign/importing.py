@@ -121,16 +121,15 @@ def import_task(source: str | Path, path: str | Path, *, overwrite: bool = False
     """Write a job file for ``vam solve`` from another program's configuration, with the part beside it."""
     origin, place = Path(source), Path(path)
     if origin.suffix.lower() != ".json":
-        raise BadInput(f"a job file is made from a configuration of Dr.TVAM in JSON, but {str(source)!r} is not one; "
-                       "import patterns into a folder: --out job.vam")  # fmt: skip
+        raise BadInput(f"a job file is made from a configuration of Dr.TVAM or a preset of VAMToolbox, both in JSON, "
+                       f"but {str(source)!r} is not one; import patterns into a folder: --out job.vam")  # fmt: skip
     tables, bodies, notes = read_task(origin)
     names = [f"{place.stem}-{f'insert{k}' if k else 'part'}.ply" for k in range(len(bodies))]
     for taken in (place, *map(place.with_name, names)):
         if os.path.lexists(taken) and not overwrite:
             raise StorageError(f"{str(taken)!r} exists; choose another path, or allow overwriting it (--overwrite)")
     for name, (_, solid) in zip(names, bodies, strict=True):
-        with replacing(place.with_name(name), overwrite=overwrite) as draft:
-            solid.save(draft)
+        solid.save(place.with_name(name))
     body = [{"mesh": name, **keys} for name, (keys, _) in zip(names, bodies, strict=True)]
     with replacing(place, overwrite=overwrite) as draft:
         draft.write_text(toml_text({"body": body, **tables}), encoding="utf-8")
@@ -142,25 +141,28 @@ def found_in(
 ) -> ForeignPatterns:
     """Patterns in a file or folder of another program; arguments and errors as for `import_patterns`."""
     ending = source.suffix.lower()
+    images = source.is_dir() or ending in (*FORMATS, ".npz")
     if target is not None and ending not in ENDINGS:
         raise BadInput(f"--target is for a sinogram of VAMToolbox, but {str(source)!r} is not one; leave it out")
     if patterns is not None and ending != ".json":
         raise BadInput(f"--patterns is for a configuration of Dr.TVAM, but {str(source)!r} is not one; import the "
                        "patterns themselves, with a job")  # fmt: skip
-    if source.is_dir() or ending in FORMATS:
+    if layout.tvam_code and not images:
+        raise BadInput(f"--for is for images, but {str(source)!r} is a file of another program; leave it out")
+    if not source.exists():
+        raise StorageError(f"there is no {str(source)!r}; check the path")
+    if images:
         return read_pictures(source, layout)
     if ending == ".json":
         return read_drtvam(source, patterns)
     if ending in ENDINGS:
         return read_vamtoolbox(source, target)
-    if not source.exists():
-        raise StorageError(f"there is no {str(source)!r}; check the path")
-    known = ", ".join((".json", *ENDINGS, *FORMATS))
+    known = ", ".join((".json", *ENDINGS, ".npz", *FORMATS))
     raise BadInput(f"cannot import {str(source)!r}: expected a folder of images, or a file ending in {known}")
 
 
 def _merged(found: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Tables of a source merged with those of a job, whose part and vessel replace those of the source."""
+    """Tables of a source and of a job, merged; the part and the vessel of the job take precedence."""
     kept = {name: table for name, table in found.items() if name not in VESSELS or not set(own) & set(VESSELS)}
     part = own.get("target")
     if isinstance(part, dict) and "target" in kept:

@@ -41,7 +41,7 @@ class Colors:
     Args:
         visible, uv: Operators of the two colors on one grid, one set of angles and one device, each with the absorption
             of its color. ``.T`` maps light of the color to dose and is the exact transpose.
-        projector: Operator with which rules with passes project doses to light, for example one without absorption;
+        projector: Operator that projects doses to light in rules with passes, for example one without absorption;
             None for each color's own.
         strength: Visible dose that one unit of UV dose cancels.
         whole: Every voxel of the grid counts, for example in a square slice whose diagonal is the diameter. Otherwise,
@@ -128,7 +128,7 @@ class Pass:
         return (self.undersupply**2 + self.oversupply**2) ** 0.5
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DualPlan:
     """Light of two colors for one design.
 
@@ -149,9 +149,15 @@ class DualPlan:
     seconds: float
     papers: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        name = type(self.method).__name__
+        return f"DualPlan({name}: {len(self.history)} passes, {self.history[-1]!r}, {self.seconds:.3g} s)"
+
     def dose(self) -> DeviceArray:
-        """Effective buildup [x, y, z] on the device: visible dose − strength · UV dose; may be negative."""
-        return self.colors.dose(self.visible, self.uv)
+        """Effective dose [x, y, z] on the device by the method's model: usually visible dose − strength · UV dose."""
+        if self.uv is None:
+            return self.colors.dose(self.visible, None)
+        return self.method.dose(self.colors, Pair(self.visible, self.uv))
 
 
 def constant(value: float, shape: tuple[int, int, int], like: DeviceArray) -> DeviceArray:

@@ -61,7 +61,7 @@ class LeastSquares(Rule):
         state.evaluations += ROUNDS * len(difference.channels)
         signs = (1.0, state.colors.strength)
         gain = sum(each.gain(ROUNDS) * sign**2 for each, sign in zip(difference.channels, signs, strict=True))
-        # half of what the gains allow: gradients held for dark light have gaps, from which the ramp makes coarse light
+        # half of the safe step: gradients have gaps where light is held dark, and the ramp turns gaps into coarse light
         pace = StepRule(0.5 / gain, soon=3.0, possible=True)
         for _ in zip(range(self.iterations), minimize(difference, difference.channels, pace)):  # noqa: B905
             state.light, state.uv = difference.light

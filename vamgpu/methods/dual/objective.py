@@ -16,14 +16,11 @@ class ColorObjective:
 
     # The point that momentum extrapolates is also clipped at 0: every dose is then that of possible light.
 
-    model: Any
-    channels: tuple[Channel, ...]
-    loss: Loss
-
     def __init__(self, model: Any, channels: tuple[Channel, ...], loss: Loss) -> None:
-        self.model, self.channels = model, channels
+        self.model: Any = model
+        self.channels: tuple[Channel, ...] = channels
         self.state: OptimizerState = channels[0].state
-        self.loss = loss.on(self.state.field)
+        self.loss: Loss = loss.on(self.state.field)
 
     @property
     def light(self) -> Pair:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol, cast
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.colors import Colors, Pass, constant
+from vamgpu.methods.dual.colors import Colors, Pair, Pass, constant
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
@@ -95,6 +95,19 @@ class Rule(Protocol):
             The records of the passes, one after each.
         """
         ...
+
+    def dose(self, colors: Colors, light: Pair, finer: bool = False) -> DeviceArray:  # noqa: ARG002
+        """Compute the effective dose of light of both colors; by default their difference.
+
+        Args:
+            colors: Operators of both colors.
+            light: Sinograms [angle, r, z] of both colors.
+            finer: In the steps of a proof, if those of the rule are longer.
+
+        Returns:
+            Effective dose [x, y, z].
+        """
+        return colors.expose(light)
 
 
 @dataclass(frozen=True)
@@ -180,12 +193,11 @@ class DualColor(Rule):
             raise BadInput(f"{self!r}: expected passes ≥ 1 and enough ≥ 0")
 
     def steps(self, state: DualState) -> Iterator[Pass]:
-        state.uv = state.sinogram()
         yield from self._text(state) if self.recompute else self._kept(state)
 
     def _text(self, state: DualState) -> Iterator[Pass]:
-        uv, colors, peak = state.uv, state.colors, state.greatest(state.target)
-        assert uv is not None
+        state.uv = uv = state.sinogram()
+        colors, peak = state.colors, state.greatest(state.target)
         dose, undone, under, over = (state.volume() for _ in range(4))
         light, change, scaled = state.sinogram(), state.sinogram(), state.sinogram()
         gain = state.gain(colors.uv) * colors.strength
@@ -210,12 +222,11 @@ class DualColor(Rule):
             combine(1.0, light, 1.0, change, light)
 
     def _kept(self, state: DualState) -> Iterator[Pass]:
-        uv, colors = state.uv, state.colors
-        assert uv is not None
+        colors = state.colors
         dose, undone, under, over = (state.volume() for _ in range(4))
         change, step, uv_step = state.sinogram(), state.descent_step(colors.visible), state.descent_step(colors.uv)
         state.start(dose)
-        state.uv = uv = constant(0.0, colors.uv.range.shape, uv)  # not 0·uv: it may hold NaN
+        state.uv = uv = constant(0.0, colors.uv.range.shape, state.light)
         while True:
             record = state.compare(dose, state.target, under, over)
             yield record

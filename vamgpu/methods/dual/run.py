@@ -7,12 +7,18 @@ from collections.abc import Callable
 from typing import Any
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, EmptyMesh
-from vamgpu.methods.dual.colors import Colors, DualPlan, Pass
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
+from vamgpu.methods.certificate import Bound
+from vamgpu.methods.dual.colors import Colors, DualPlan, Pair, Pass
 from vamgpu.methods.dual.least_squares import LeastSquares
 from vamgpu.methods.dual.passes import DualColor, DualState, Rule, SingleColor, Tolerant
-from vamgpu.methods.part import on_device, one_limit
-from vamgpu.operators.reductions import extent
+from vamgpu.methods.dual.window import BothColors, WidestWindow
+from vamgpu.methods.part import check_values, on_device, one_limit
+from vamgpu.methods.pdhg import PDHG, TOLD
+from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import EVERYWHERE, extent
 from vamgpu.schema.registry import as_known, nearest
 
 METHODS: dict[str, Callable[[], Any]] = {
@@ -21,6 +27,7 @@ METHODS: dict[str, Callable[[], Any]] = {
     "dc": DualColor,
     "dc kept": lambda: DualColor(recompute=False),
     "least squares": LeastSquares,
+    "window": WidestWindow,
 }
 """Names of rules with default parameters."""
 
@@ -66,14 +73,44 @@ def superpose(
     return DualPlan(state.light, state.uv, colors, rule, tuple(history), seconds, rule.papers)
 
 
+def bound(plan: DualPlan, design: Any, evaluations: int = 1500, brighter: float = 2.0) -> Bound:
+    """Bound the window of any light of both colors, up to ``brighter`` times as bright as that of a plan.
+
+    Both colors may cancel each other, so without a limit of the light the bound is rarely below 1. The window's linear
+    program is solved by `PDHG`, from the light of the plan; doses add up.
+
+    Args:
+        plan: A plan whose dose is that of its colors.
+        design: The design of the plan.
+        evaluations: Projector evaluations of both colors.
+        brighter: Greatest light of a pixel, relative to the plan's at the same greatest dose.
+
+    Returns:
+        The bound; ``bound.share(window)`` compares a window with it.
+
+    Raises:
+        BadInput: A value is out of its range, or there are too few evaluations.
+    """
+    if evaluations < TOLD:
+        raise BadInput(f"evaluations is {evaluations!r}; expected {TOLD} or more: fewer steps give no bound")
+    colors, brighter = plan.colors, positive("brighter", brighter)
+    both: Any = BothColors(colors.visible, colors)
+    uv = combine(0.0, plan.visible, 0.0, plan.visible, both.device.empty(plan.visible.shape))
+    light = both.join(Pair(plan.visible, uv if plan.uv is None else plan.uv), both.device.empty(both.range.shape))
+    run = OptimizerState(both, _checked(colors, design), {"light": light})
+    run.reach = EVERYWHERE if colors.whole else run.reach
+    run.most = brighter * extent(light)[1] / run.window(both.T(light))[1]
+    for _ in zip(range(evaluations), PDHG().steps(run)):  # noqa: B905
+        pass
+    found = PDHG().certify(run)
+    assert found is not None
+    return found
+
+
 def _checked(colors: Colors, design: Any) -> DeviceArray:
     projector: Any = colors.visible
     values = on_device(projector, one_limit(design))
-    low, high = extent(values)
-    if not (low >= 0.0 and high <= 1.0):
-        raise BadInput(f"the design reaches from {low:g} to {high:g}; expected gray values in 0..1: scale it")
-    if high == 0.0:
-        raise EmptyMesh("every voxel of the design is 0; expected some that are filled")
+    check_values(values, "the design", "gray values")
     return values
 
 

@@ -2,57 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
+from vamgpu.chemistry.turns import Fields, Turns, check_times, copy_all
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
-from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step, put_poses, take_poses
-from vamgpu.kernels.update import fill_background
+from vamgpu.kernels.inhibition import add_peak_slope, inhibition_adjoint, inhibition_step, raise_peak
 from vamgpu.methods.dual.colors import Pair, subtracted, subtracted_gradient
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.operators.space import require
 
-
-class PoseRuns:
-    """The operators of the runs that the poses of a turn are cut into. Raises `BadInput` for fewer poses than runs."""
-
-    def __init__(self, operator: Projection, count: int) -> None:
-        if not isinstance(operator, Projection):
-            raise BadInput(f"got {operator!r}; expected a Projection, which can be cut into runs of angles")
-        angles = operator.motion.angles
-        if isinstance(count, bool) or int(count) != count or not 1 <= count <= angles:
-            raise BadInput(f"{count!r} runs of {angles} angles; expected a whole number of 1 to {angles}")
-        runs = np.array_split(np.arange(angles), int(count))
-        self.whole = operator
-        self.first: tuple[int, ...] = tuple(int(run[0]) for run in runs)
-        self.parts: tuple[Projection, ...] = tuple(
-            operator.turned(operator.motion.part(int(run[0]), int(run[-1]) + 1)) for run in runs
-        )
-
-    def __len__(self) -> int:
-        return len(self.parts)
-
-    def expose(self, run: int, light: DeviceArray, out: DeviceArray) -> None:
-        """out = dose [x, y, z] of one run of poses of a turn's light [angle, r, z]."""
-        device, part = self.whole.device, self.parts[run]
-        rows = device.empty(part.range.shape)
-        device.launch(take_poses, light=light, first=self.first[run], part=rows)
-        part.T(rows, out=out)
-
-    def project(self, run: int, volume: DeviceArray, light: DeviceArray) -> None:
-        """Write the projection of a volume [x, y, z] into the poses of a run."""
-        device, part = self.whole.device, self.parts[run]
-        rows = device.empty(part.range.shape)
-        part(volume, out=rows)
-        device.launch(put_poses, part=rows, first=self.first[run], light=light)
+NEVER = 1e30
+"""Depth of a peak before the first step."""
 
 
 class SpeciesFields(NamedTuple):
@@ -134,13 +100,10 @@ class LinearModel(Model):
         turns: Number of turns, all with the same light.
     """
 
-    resin: TwoColorResin
-    turns: int
-    device: Device
-
     def __init__(self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3) -> None:
         self.operators: tuple[Projection, Projection] = (visible, ultraviolet)
-        self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
+        self.resin: TwoColorResin = resin
+        self.turns: int = _checked(visible, ultraviolet, turns)
         self.gains: tuple[float, float] = (self.turns * resin.visible, -self.turns * resin.subtraction)
 
     def expose(self, light: Pair) -> DeviceArray:
@@ -150,53 +113,47 @@ class LinearModel(Model):
         return subtracted_gradient(self.operators, self.gains, slope)
 
 
-class KineticModel(Model):
+class KineticModel(Turns, Model):
     """The state of every voxel through all turns; light arrives in the order of rotation.
 
     Effective dose = 1 + X − [A] − [B]/α, relative to the induction: the visible exposure so far, minus the exposure
     that consumes the inhibitors made by ultraviolet. Below an effective dose of 1, only a share set by ε polymerizes;
     above 1, the exposure X does.
 
-    Memory, in volumes: 4·runs for light and gradients, 3·turns for the states at the beginnings of turns, 3·runs·steps
-    for those of the turn that is recomputed, and about 10.
-
     Args:
         visible, ultraviolet: Operators of both colors on one grid, turntable and device; absorbing vessels attenuate
             each color separately.
         resin: Response of the resin to light.
         turns: Number of turns, all with the same light.
-        period: Time of a turn [s], needed for pairing.
+        period: Time of a turn [s], needed for pairing and diffusion.
         runs: Number of runs of angles per turn; the light of a run arrives at once.
         steps: Depletion substeps within a run.
         start: The state before the first of these turns; None for fresh resin.
+        diffusivities: D [mm²/s] of A, B and C; no flux passes the faces of the grid.
+        peak: Whether the effective dose is the greatest after any run of angles, not the last. Inhibitors that
+            ultraviolet makes later do not dissolve what has cured.
 
     Raises:
         BadInput: A value is out of its range.
         DeviceError: Arrays are on different devices.
     """
 
-    resin: TwoColorResin
-    turns: int
-    device: Device
-
     def __init__(
         self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3, *,
         period: float = 0.0, runs: int = 12, steps: int = 1, start: SpeciesFields | None = None,
+        diffusivities: Sequence[float] = (0.0, 0.0, 0.0), peak: bool = False,
     ) -> None:  # fmt: skip
+        _checked(visible, ultraviolet, turns)
+        if len(diffusivities) != 3:
+            raise BadInput(f"got {len(diffusivities)} diffusivities; expected those of A, B and C")
         self.operators: tuple[Projection, Projection] = (visible, ultraviolet)
-        self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
-        self.period: float = positive("period [s]", period, zero=True)
-        if resin.pairing and not self.period:
-            raise BadInput("B recombines in pairs, which takes time; expected period > 0, the time of a turn [s]")
-        if resin.pairing and visible.motion.dwell is not None:
-            raise BadInput(f"B recombines in pairs, but {visible.motion} angles are lit for unequal times; expected "
-                           "equal times: leave dwell out of Turntable")  # fmt: skip
-        self.steps: int = counts("steps", (steps,), 1)[0]
-        self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
-        self.shape: tuple[int, int, int] = visible.domain.shape
+        self.resin: TwoColorResin = resin
         self.start: SpeciesFields | None = start
-        self._doses: list[Pair] = []
-        self._starts: list[tuple[DeviceArray, ...]] = []
+        self.peak: bool = peak
+        self._peak: Fields = ()
+        if resin.pairing:
+            check_times(visible.motion, positive("period [s]", period, zero=True), "B recombines in pairs")
+        super().__init__(self.operators, turns, period, runs, steps, diffusivities)
 
     def going_on(
         self, turns: int, start: SpeciesFields | None = None, *, visible: float = 1.0, ultraviolet: float = 1.0,
@@ -224,7 +181,8 @@ class KineticModel(Model):
         resin = replace(resin, visible=gains[0] * resin.visible, ultraviolet=gains[1] * resin.ultraviolet,
                         cross=gains[1] * resin.cross)  # fmt: skip
         return KineticModel(*(operators or self.operators), resin, turns, period=self.period, runs=len(self.runs[0]),
-                            steps=self.steps, start=start)  # fmt: skip
+                            steps=self.steps, start=start, diffusivities=self.diffusivities,
+                            peak=self.peak)  # fmt: skip
 
     def state(self, light: Pair) -> SpeciesFields:
         """Compute the state after the last turn.
@@ -238,92 +196,61 @@ class KineticModel(Model):
         return SpeciesFields(*self._through(light))
 
     def expose(self, light: Pair) -> DeviceArray:
-        return self.state(light).effective_dose(self.resin)
+        if not self.peak:
+            return self.state(light).effective_dose(self.resin)
+        self._through(light, self._raise)
+        return self._peak[0]
 
-    def _through(self, light: Pair) -> tuple[DeviceArray, ...]:
-        self._light_up(light)
-        state, spare = self._start(), self._volumes(4)
-        for turn in range(self.turns):
-            self._keep(turn, state)
-            for sub in range(len(self._doses) * self.steps):
-                self._step(sub, state, spare)
-                state, spare = spare, state
-        return state
+    def _raise(self, number: int, fields: Fields) -> None:
+        """Raise the peak to the dose after a reaction."""
+        if number == 0:
+            self._peak = self._constant(-NEVER), self._constant(-1.0)
+        a, b, _, x = fields
+        peak, when = self._peak
+        self.device.launch(raise_peak, a=a, b=b, x=x, alpha=self.resin.alpha, number=number, peak=peak, when=when)
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        if not self._starts:
-            raise BadInput("no light was exposed before the gradient; call expose() first")
-        count = len(self._doses) * self.steps
-        slopes = [Pair(*(self._constant(0.0) for _ in range(2))) for _ in self._doses]
-        a, b, c = self._volumes(3)
-        combine(-1.0, slope, 0.0, slope, a)
-        combine(-1.0 / self.resin.alpha, slope, 0.0, slope, b)
-        combine(0.0, slope, 0.0, slope, c)
-        path = [self._volumes(3) for _ in range(count)]
-        x = self._constant(1.0)
-        for start in reversed(self._starts):
-            states = [start, *path[1:]]
-            for sub in range(count - 1):
-                self._step(sub, (*states[sub], x), (*states[sub + 1], x))
-            for sub in reversed(range(count)):
-                self._back(sub, states[sub], (a, b, c), slope, slopes)
-        return self._gathered(slopes)
+        if self.peak:
+            if not self._peak:
+                raise BadInput("no light was exposed before the gradient; call expose() first")
+            *none, x = (self._constant(0.0) for _ in range(4))
+            return Pair(*self._back(tuple(none), x, lambda *after: self._add_slope(slope, *after)))
+        species = self._volumes(3)
+        for factor, field in zip((-1.0, -1.0 / self.resin.alpha, 0.0), species, strict=True):
+            combine(factor, slope, 0.0, slope, field)
+        return Pair(*self._back(species, slope))
 
-    def _light_up(self, light: Pair) -> None:
-        """Doses of every run of a turn; the same in every turn."""
-        runs = len(self.runs[0])
-        if not self._doses:
-            self._doses = [Pair(*self._volumes(2)) for _ in range(runs)]
-        for run in range(runs):
-            for color in range(2):
-                self.runs[color].expose(run, light[color], self._doses[run][color])
+    def _add_slope(self, slope: DeviceArray, number: int, slopes: Fields) -> None:
+        """Add derivatives with respect to the peak after a reaction."""
+        names = dict(zip(("a_slope", "b_slope", "x_slope"), (slopes[0], slopes[1], slopes[3]), strict=True))
+        given = {"slope": slope, "when": self._peak[1], "number": number, "alpha": self.resin.alpha}
+        self.device.launch(add_peak_slope, **given, **names)
 
-    def _gathered(self, slopes: list[Pair]) -> Pair:
-        light = Pair(*(self.device.empty(A.range.shape) for A in self.operators))
-        for run, pair in enumerate(slopes):
-            for color in range(2):
-                self.runs[color].project(run, pair[color], light[color])
-        return light
-
-    def _given(self, sub: int) -> dict[str, object]:
+    def _given(self, dose: Fields, share: float) -> dict[str, object]:
         """Arguments of a step, shared with its adjoint."""
-        dose, resin, share = self._doses[sub // self.steps], self.resin, 1.0 / self.steps
-        pairing = resin.pairing * self.period / (len(self._doses) * self.steps)
+        resin, pairing = self.resin, self.resin.pairing * self.period / self._substeps * share
+        share /= self.steps
         gains = {"visible_gain": resin.visible * share, "ultraviolet_gain": resin.ultraviolet * share}
-        return {"visible": dose.visible, "ultraviolet": dose.ultraviolet, **gains, "cross_gain": resin.cross * share,
+        return {"visible": dose[0], "ultraviolet": dose[1], **gains, "cross_gain": resin.cross * share,
                 "alpha": resin.alpha, "pairing": pairing, "floor": resin.floor}  # fmt: skip
 
-    def _step(self, sub: int, before: tuple[DeviceArray, ...], after: tuple[DeviceArray, ...]) -> None:
+    def _react(self, dose: Fields, share: float, before: Fields, after: Fields) -> None:
         state = dict(zip("abcx", before, strict=True))
         ends = {f"{name}_end": value for name, value in zip("abcx", after, strict=True)}
-        self.device.launch(inhibition_step, **self._given(sub), **state, **ends)
+        self.device.launch(inhibition_step, **self._given(dose, share), **state, **ends)
 
-    def _back(
-        self, sub: int, before: tuple[DeviceArray, ...], state: tuple[DeviceArray, ...], x: DeviceArray,
-        slopes: list[Pair],
+    def _react_back(
+        self, dose: Fields, share: float, species: Fields, slopes: Fields, x_slope: DeviceArray, by_dose: Fields
     ) -> None:  # fmt: skip
-        pair = slopes[sub // self.steps]
-        states = dict(zip("abc", before, strict=True))
-        ends = {f"{name}_slope": value for name, value in zip("abcx", (*state, x), strict=True)}
-        by_light = {"visible_slope": pair.visible, "ultraviolet_slope": pair.ultraviolet}
-        self.device.launch(inhibition_adjoint, **self._given(sub), **states, **ends, **by_light)
+        states = dict(zip("abc", species, strict=True))
+        ends = {f"{name}_slope": value for name, value in zip("abcx", (*slopes, x_slope), strict=True)}
+        by_light = {"visible_slope": by_dose[0], "ultraviolet_slope": by_dose[1]}
+        self.device.launch(inhibition_adjoint, **self._given(dose, share), **states, **ends, **by_light)
 
-    def _start(self) -> tuple[DeviceArray, ...]:
-        """The state before the first turn; x of fresh resin starts at 1, the constant of the effective dose."""
+    def _start(self) -> Fields:
+        """X of fresh resin starts at 1, the constant of the effective dose."""
         if self.start is not None:
-            return tuple(combine(1.0, part, 0.0, part, self.device.empty(self.shape)) for part in self.start)
+            fields = self._volumes(4)
+            copy_all(self.start, fields)
+            return fields
         return tuple(self._constant(value) for value in (1.0, 0.0, self.resin.supply, 1.0))
-
-    def _keep(self, turn: int, state: tuple[DeviceArray, ...]) -> None:
-        if turn >= len(self._starts):
-            self._starts.append(self._volumes(3))
-        for kept, value in zip(self._starts[turn], state[:3], strict=True):
-            combine(1.0, value, 0.0, value, kept)
-
-    def _volumes(self, count: int) -> tuple[DeviceArray, ...]:
-        return tuple(self.device.empty(self.shape) for _ in range(count))
-
-    def _constant(self, value: float) -> DeviceArray:
-        filled, finite = self.device.empty(self.shape), self._doses[0].visible
-        self.device.launch(fill_background, target=finite, low=value, high=value, reach=EVERYWHERE, model=filled)
-        return filled

@@ -45,7 +45,7 @@ class EffectiveContrast:
 
     @property
     def bulk(self) -> float:
-        """The same of the fifth and the ninety-fifth percentile."""
+        """The same from the fifth and the ninety-fifth percentile."""
         return (self.in_low - self.out_high) / max(self.in_most, 1e-30)
 
     @classmethod
@@ -61,6 +61,8 @@ class EffectiveContrast:
         return cls(*map(float, numbers))
 
 
+WARM = 10
+"""Iterations with only visible light, from which the descent of both colors begins."""
 LINEAR = 4
 """Iterations of the linear model for each iteration with only visible light; they take little time."""
 
@@ -159,7 +161,7 @@ class ColorPlan:
 
 def optimize_colors(
     model: Model, target: Any, weights: LossWeights = LossWeights(), iterations: int | None = None, *,
-    start: Pair | ColorPlan | None = None, warm: int = 10, progress: Callable[[Step], None] | None = None,
+    start: Pair | ColorPlan | None = None, warm: int = WARM, progress: Callable[[Step], None] | None = None,
     cancel: Callable[[], bool] | None = None, resume: ColorPlan | None = None,
 ) -> ColorPlan:  # fmt: skip
     """Find light of both colors, never negative, whose effective dose prints the target.
@@ -190,8 +192,8 @@ def optimize_colors(
         memories, history = _resumed(model, weights, start, resume), list(resume.history)
         begun -= resume.seconds
     else:
-        light = _warm(model, fractions, weights, warm) if start is None else _copied(model, start)
-        memories, history = _memories(light), []
+        light = warm_light(model, fractions, weights, warm) if start is None else _copied(model, start)
+        memories, history = tuple({"light": part} for part in light), []
     descent = ColorDescent(model, fractions, weights.band(model.resin), memories, weights.share)
     descent.state.iteration = len(history)
 
@@ -205,7 +207,7 @@ def optimize_colors(
         )  # fmt: skip
 
     def cancelled(why: str) -> Cancelled:
-        return Cancelled(f"{why} after {len(history)} iterations; pass the error's plan as resume= to go on", plan())
+        return Cancelled(f"{why} after {len(history)} iterations; pass the error's plan as resume= to continue", plan())
 
     steps = descent.steps()
     try:
@@ -223,11 +225,6 @@ def optimize_colors(
     return plan()
 
 
-def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
-    """Memories of both colors, before any step."""
-    return tuple({"light": part} for part in light)
-
-
 def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) -> tuple[dict[str, Any], ...]:
     """Copies of the memories of a plan. Raises `BadInput` if the plan is from another run."""
     if start is not None:
@@ -238,7 +235,7 @@ def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) ->
     return copied(plan.state)
 
 
-def _warm(model: Model, target: DeviceArray, weights: LossWeights, iterations: int) -> Pair:
+def warm_light(model: Model, target: DeviceArray, weights: LossWeights, iterations: int) -> Pair:
     """Visible light that brings the part to the middle of its band, improved by the linear model in both colors."""
     (iterations,), (visible, ultraviolet) = counts("warm", (iterations,), 1), model.operators
     found = optimize(visible, target, iterations=iterations, progress=False)
@@ -250,7 +247,8 @@ def _warm(model: Model, target: DeviceArray, weights: LossWeights, iterations: i
     if isinstance(model, LinearModel):
         return pair
     line = LinearModel(visible, ultraviolet, model.resin, model.turns)
-    descent = ColorDescent(line, target, weights.band(model.resin), _memories(pair), weights.share)
+    memories = tuple({"light": part} for part in pair)
+    descent = ColorDescent(line, target, weights.band(model.resin), memories, weights.share)
     for _ in zip(range(LINEAR * iterations), descent.steps()):  # noqa: B905 - whichever ends first
         pass
     return descent.light

@@ -79,7 +79,7 @@ export const path = (...parts) => parts.map((each) => name(each)).join("/");
 export const url = (...parts) => BASE + path(...parts);
 
 /** What the page knows; tabs read it, and hear of changes through `on`. */
-export const store = { workspace: null, tasks: [], runs: [], printing: null, devices: [], schema: null, presets: null, lost: false };
+export const store = { workspace: null, tasks: [], runs: [], printing: null, devices: [], schemas: null, presets: null, lost: false };
 const heard = new EventTarget();
 
 export const on = (event, listener) => {
@@ -97,7 +97,7 @@ export const reload = {
   async presets() { store.presets = await get("presets"); tell("presets"); },
   async print() { [store.printing, { runs: store.runs }] = await Promise.all([get("print"), get("runs")]); tell("print"); },
   async all() {
-    store.schema ||= await get("schema");
+    store.schemas ||= Object.fromEntries(await Promise.all(["vial", "web", "slices"].map(async (kind) => [kind, await get(`schema?kind=${kind}`)])));
     await Promise.all([reload.workspace(), reload.tasks(), reload.presets(), reload.devices(), reload.print()]);
   },
 };

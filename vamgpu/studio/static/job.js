@@ -23,7 +23,8 @@ export function meant(key, text) {
   if (key.type === "count" || key.type === "number") return said !== "" && Number.isFinite(+said) ? +said : said;
   if (key.type === "bool") return said === "true";
   if (["list", "any"].includes(key.type) && /^[[\d-]/.test(said)) {
-    try { return JSON.parse(said); } catch { return said; }
+    const bare = key.type === "list" && !said.startsWith("["); // "60, 32" and "60 × 32" are [60, 32]
+    try { return JSON.parse(bare ? `[${said.split(/\s*[,;x×]\s*|\s+/).join(",")}]` : said); } catch { return said; }
   }
   return said;
 }
@@ -35,6 +36,7 @@ export class JobTab {
       root.append(empty("No job yet", chosen.part ? "Make a job with this part first: under Part, choose a height, a vial and a projector." : "Choose a job at the left, or add a job file (TOML)."));
       return;
     }
+    this.schema = store.schemas[chosen.job.kind] || store.schemas.vial;
     this.form = make("div", { class: "stack" });
     this.text = make("textarea", { class: "file", spellcheck: "false", autocapitalize: "off", "aria-label": `Text of ${chosen.file.id}`, wrap: "off", oninput: () => this.typed() });
     this.status = make("small", { role: "status" });
@@ -63,13 +65,13 @@ export class JobTab {
     if (!this.timer && this.text.value !== file.text) this.text.value = file.text;
     put(this.status, file.errors.length ? `saved; ${file.errors.length} wrong ${file.errors.length > 1 ? "values" : "value"}` : "saved");
     this.faults.replaceChildren(...file.errors.map(({ field, line, message }) => make("li", {}, button(line ? `line ${line}` : field || "file", () => this.jump(line), { class: "quiet" }), make("span", { class: "error" }, message))));
-    const tables = store.schema.tables.filter(({ name }) => file.fields[name] !== undefined || (!this.optional(name) && name !== "body")).sort((a, b) => rank(a.name) - rank(b.name));
+    const tables = this.schema.tables.filter(({ name }) => file.fields[name] !== undefined || (!this.optional(name) && name !== "body")).sort((a, b) => rank(a.name) - rank(b.name));
     this.form.replaceChildren(this.presets(), ...tables.map((table) => this.table(table, open)), this.adding());
     if (held) this.form.querySelector(`[data-key="${CSS.escape(held)}"]`)?.focus();
   }
 
   optional(name) {
-    return store.schema.tables.find((table) => table.name === name)?.optional;
+    return this.schema.tables.find((table) => table.name === name)?.optional;
   }
 
   jump(line) {
@@ -81,6 +83,7 @@ export class JobTab {
   }
 
   presets() {
+    if (this.schema !== store.schemas.vial) return "";
     const lists = store.presets || { vials: [], projectors: [], resins: [] }, titles = { vials: "Vial", projectors: "Projector", resins: "Resin" };
     const same = (set) => Object.entries(set).every(([key, value]) => plain(chosen.file.value(key)) === plain(value));
     const now = Object.keys(titles).map((family) => {
@@ -109,7 +112,7 @@ export class JobTab {
     const value = chosen.file.fields[table.name];
     if (Array.isArray(value)) return card(`[[${table.name}]]`, make("p", { class: "soft" }, `${table.doc} ${value.length} in this file: their roles are under Part, their other keys in the file.`));
     const own = chosen.file.error(table.name), kinds = table.kinds.length > 0, kind = value?.[table.word] || "";
-    const component = kinds ? store.schema.components[table.kinds.find((each) => each.endsWith(`.${kind}`))] : null;
+    const component = kinds ? this.schema.components[table.kinds.find((each) => each.endsWith(`.${kind}`))] : null;
     const keys = kinds ? component?.keys || [] : table.keys, first = (key) => key.required || value?.[key.name] !== undefined || chosen.file.error(`${table.name}.${key.name}`);
     const [set, rest] = [keys.filter(first), keys.filter((key) => !first(key))], fields = (some) => make("div", { class: "fields" }, some.map((key) => this.field(table.name, key)));
     return make("section", { class: "card", "aria-label": table.name },
@@ -132,12 +135,12 @@ export class JobTab {
       input = make("select", { ...given, onchange: (event) => change(event.target.value) }, make("option", { value: "", selected: value === undefined }, key.required ? "choose" : left),
         choices.map((each) => make("option", { value: each, selected: String(value) === each }, each)));
     } else input = make("input", { ...given, value: shown(value), placeholder: key.required ? "" : left, spellcheck: "false", autocomplete: "off", onchange: (event) => change(event.target.value) });
-    return make("div", { class: "key" }, make("label", { class: "field" }, make("span", {}, name, key.unit ? make("em", {}, key.unit) : null), input),
+    return make("div", { class: "key" }, make("label", { class: "field" }, make("span", {}, name, key.unit ? make("em", {}, key.unit === "um" ? "µm" : key.unit) : null), input),
       error ? make("p", { class: "error", id: `d-${id}` }, error.message) : make("small", { id: `d-${id}` }, sentence(key)));
   }
 
   adding() {
-    const missing = store.schema.tables.filter(({ name, many }) => chosen.file.fields[name] === undefined && this.optional(name) && !many).sort((a, b) => a.name.localeCompare(b.name));
+    const missing = this.schema.tables.filter(({ name, many }) => chosen.file.fields[name] === undefined && this.optional(name) && !many).sort((a, b) => a.name.localeCompare(b.name));
     if (!missing.length) return make("div");
     let name = missing[0].name;
     const about = make("p", { class: "soft" }, missing[0].doc);

@@ -2,6 +2,7 @@
 import { arrays, get, path, reload, send, store, url } from "./api.js";
 import { histogram } from "./charts.js";
 import { button, card, empty, fixed, length, make, number, percent, put, say, select, slider, time } from "./dom.js";
+import { reel } from "./films.js";
 import { chosen, go } from "./main.js";
 import { SurfaceView } from "./scene.js";
 import { Slices, printed, tally } from "./slices.js";
@@ -49,7 +50,7 @@ export class LookTab {
   verdict() {
     const { verdict, seconds, scores, report } = this.result, busy = store.tasks.some((task) => task.kind === "prove" && task.result === chosen.result.id && BUSY.includes(task.state));
     const prove = (text, tolerances) => button(busy ? "Simulating …" : text, () => send("POST", "tasks", { kind: "prove", result: chosen.result.id, device: null, tolerances }).then(reload.tasks), { class: verdict ? "" : "primary", disabled: busy });
-    if (!verdict) return make("section", { class: "verdict none", "aria-label": "Verdict" }, make("p", { class: "head" }, "Not simulated yet"), make("p", {}, "The frames are there. The simulation traces its own rays through them, and tells whether the part prints."), make("div", { class: "row" }, prove("Simulate the print", false)));
+    if (!verdict) return make("section", { class: "verdict none", "aria-label": "Verdict" }, make("p", { class: "head" }, "Not simulated yet"), make("p", {}, "The frames are there. The simulation traces its own rays through them, and says whether the part prints."), make("div", { class: "row" }, prove("Simulate the print", false)));
     const figure = (value, name) => make("div", {}, make("b", {}, value), make("span", {}, name));
     const changed = chosen.job?.state === "changed" ? make("p", { class: "note" }, "The job file was changed after this result: solve again to see the effect.") : null;
     return make("div", { class: "stack" }, changed, make("section", { class: `verdict ${verdict.prints ? "good" : "bad"}`, "aria-label": "Verdict" },
@@ -69,7 +70,7 @@ export class LookTab {
       try {
         await send("POST", "tasks", { kind: "export", result: chosen.result.id, format, canvas: null, fps: 30, overwrite: true });
         await reload.tasks();
-        say(`exporting ${chosen.result.id}; the queue under Solve tells where the files lie`);
+        say(`exporting ${chosen.result.id}; the queue under Solve shows where the files are`);
       } catch (error) { say(error.message, true); }
     } }, formats.map(([value, text]) => make("option", { value }, text)));
   }
@@ -219,29 +220,11 @@ export class LookTab {
   light() {
     const { frames } = this.result;
     if (!frames) return make("div");
-    const film = make("img", { class: "film", alt: "frame 1", src: url("results", chosen.result.id, "frame") + "?index=0" }), where = make("output", {}), step = 360 / frames.count;
-    const show = (index) => {
-      put(where, `frame ${index + 1}`);
-      film.alt = `frame ${index + 1} of ${frames.count}`;
-      if (this.fetching) { this.waiting = index; return; }
-      this.fetching = true;
-      film.src = `${url("results", chosen.result.id, "frame")}?index=${index}`;
-    };
-    film.onload = film.onerror = () => {
-      this.fetching = false;
-      if (this.waiting !== null && this.waiting !== undefined) { const next = this.waiting; this.waiting = null; show(next); }
-    };
-    const range = make("input", { type: "range", min: 0, max: frames.count - 1, value: 0, "aria-label": "Frame", oninput: (event) => show(+event.target.value) });
-    const play = make("button", { type: "button", onclick: () => {
-      if (this.playing) { clearInterval(this.playing); this.playing = null; put(play, "Play"); return; }
-      put(play, "Pause");
-      this.playing = setInterval(() => { range.value = (+range.value + 1) % frames.count; show(+range.value); }, 80);
-    } }, "Play");
-    put(where, "frame 1");
+    this.reel = reel(chosen.result.id, { ...frames, step: `${number(360 / frames.count)}° from one to the next over a full turn` });
     const sinogram = make("img", { class: "sinogram", alt: "Sinogram of a row: one line for each frame", src: `${url("results", chosen.result.id, "sinogram")}?row=${Math.floor(frames.rows / 2)}` });
     const row = slider("Row", { min: 0, max: frames.rows - 1, step: 1, value: Math.floor(frames.rows / 2), say: (value) => `${value + 1} of ${frames.rows}`, input: () => {} });
     row.querySelector("input").addEventListener("change", (event) => { sinogram.src = `${url("results", chosen.result.id, "sinogram")}?row=${event.target.value}`; });
-    const made = card("Frames and sinogram", make("div", { class: "pair" }, make("div", { class: "stack tight" }, film, make("label", { class: "slider reel" }, play, range, where), make("p", { class: "soft" }, `${frames.count} frames, ${frames.columns} × ${frames.rows} pixels${frames.bits ? `, ${frames.bits} bit` : ""}; ${number(step)}° from one to the next over a full turn`)),
+    const made = card("Frames and sinogram", make("div", { class: "pair" }, this.reel,
       make("div", { class: "stack tight" }, sinogram, row, make("p", { class: "soft" }, "One line for each frame, the columns of one row across"))));
     made.classList.add("wide");
     return made;
@@ -262,8 +245,7 @@ export class LookTab {
   }
 
   free() {
-    clearInterval(this.playing);
-    this.playing = null;
+    this.reel?.stop();
     this.watch?.disconnect();
     this.viewer?.close();
     this.view?.close();

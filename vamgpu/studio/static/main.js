@@ -1,20 +1,22 @@
 // The frame of the page: the workspace at the left, the tabs, what is dropped, and the connection.
-import { JobFile, Refused, follow, get, on, path, reload, send, store, upload } from "./api.js";
+import { JobFile, follow, get, on, path, reload, send, store, upload } from "./api.js";
 import { ask, at, bytes, button, day, draw, empty, make, percent, put, say } from "./dom.js";
 import { PartTab } from "./part.js";
 import { JobTab } from "./job.js";
 import { SolveTab } from "./solve.js";
 import { LookTab } from "./look.js";
+import { StackTab, WebLook, WebPart } from "./films.js";
 import { PrintTab } from "./print.js";
 
 const TABS = [["part", "Part", PartTab], ["job", "Machine and resin", JobTab], ["solve", "Solve", SolveTab], ["look", "Look", LookTab], ["print", "Print", PrintTab]];
+const OTHERS = { web: { part: WebPart, look: WebLook }, slices: { part: StackTab, look: StackTab } };
 const SHAPES = {
   good: "M2.5 7.5l3 3 6-7", bad: "M3 3l8 8M11 3l-8 8", warn: "M7 2v6.5M7 11v1", busy: "M7 2a5 5 0 1 1-5 5", none: "M7 7h.01",
 };
 const STATES = {
-  new: ["none", "not solved"], queued: ["busy", "waits in the queue"], running: ["busy", "solving"], interrupted: ["warn", "interrupted; can go on"],
+  new: ["none", "not solved"], queued: ["busy", "waits in the queue"], running: ["busy", "solving"], interrupted: ["warn", "interrupted; can continue"],
   solved: ["none", "solved, not simulated"], proved: ["good", "prints"], not: ["bad", "does not print"], changed: ["warn", "changed since it was solved"],
-  invalid: ["bad", "has a wrong value"], damaged: ["bad", "damaged"], web: ["none", "web"],
+  invalid: ["bad", "has a wrong value"], damaged: ["bad", "damaged"],
 };
 
 /** What is chosen, and its job, part and result as the workspace has them. */
@@ -42,10 +44,17 @@ function first() { // what the command line named, else the newest job
   return newest ? ["jobs", newest.id, newest.state === "proved" ? "look" : "part"] : parts[0] ? ["parts", parts[0].id, "part"] : [null, null, "part"];
 }
 
+function decoded(text) {
+  try { return decodeURIComponent(text); } catch { return text; }
+}
+
 async function route() {
-  const [kind, id, tab] = location.hash ? location.hash.slice(1).split("/") : first();
+  const { parts, jobs, results } = store.workspace, asked = location.hash.slice(1).split("/"), wanted = decoded(asked[1] || "");
+  const there = [...parts, ...jobs, ...results].some(({ id }) => id === wanted);
+  const [kind, id, tab] = there ? [asked[0], wanted, asked[2]] : [...first().slice(0, 2), asked.at(-1) || first()[2]]; // "#look" is a tab of what is open
+  if (wanted && !there) say(`there is no ${wanted} in this workspace`, true);
   const before = `${chosen.kind}/${chosen.id}`;
-  [chosen.kind, chosen.id] = [kind, id && decodeURIComponent(id)];
+  [chosen.kind, chosen.id] = [kind, id];
   chosen.tab = TABS.some(([key]) => key === tab) ? tab : "part";
   resolve();
   if (before !== `${chosen.kind}/${chosen.id}` || !chosen.file || chosen.file.id !== chosen.job?.id) chosen.file = null;
@@ -54,7 +63,7 @@ async function route() {
   await show();
 }
 
-/** Show the chosen tab anew. */
+/** Show the chosen tab again. */
 export async function show() {
   const turn = ++turns;
   if (chosen.job && !chosen.file) {
@@ -65,7 +74,7 @@ export async function show() {
   side();
   head();
   tabs();
-  const root = at("panel"), Tab = TABS.find(([key]) => key === chosen.tab)[2];
+  const root = at("panel"), Tab = OTHERS[(chosen.job || chosen.result)?.kind]?.[chosen.tab] || TABS.find(([key]) => key === chosen.tab)[2];
   root.replaceChildren();
   root.scrollTop = 0;
   root.setAttribute("aria-label", TABS.find(([key]) => key === chosen.tab)[1]);
@@ -98,13 +107,13 @@ function side() {
     make("button", { type: "button", "aria-current": chosen.kind === kind && chosen.id === id ? "true" : null, title: id, onclick: () => go(kind, id, kind === "parts" ? "part" : kind === "results" && !["look", "print"].includes(chosen.tab) ? "look" : chosen.tab) },
       mark(sort), make("span", {}, id), make("small", {}, note)));
   const group = (title, rows, none) => make("div", {}, make("h2", {}, title), rows.length ? make("ul", {}, rows) : make("p", { class: "none" }, none));
-  const state = (job) => STATES[job.state === "proved" && results.find(({ id }) => id === job.result)?.verdict?.prints === false ? "not" : job.state] || ["none", job.state];
+  const state = ({ state: now, verdict }) => STATES[now === "proved" && verdict?.prints === false ? "not" : now] || ["none", now];
   const own = new Set(jobs.map(({ result }) => result)), others = results.filter(({ id }) => !own.has(id));
   at("side").replaceChildren(...[
     button("Add a part or job …", choose, { class: "add" }),
     group("Jobs", jobs.map((job) => row("jobs", job.id, ...state(job))), "None yet. Choose a part, then make a job."),
     group("Parts", parts.map((part) => row("parts", part.id, "none", bytes(part.bytes))), "None yet. Drop an STL here."),
-    others.length ? group("Job folders", others.map((each) => row("results", each.id, ...(STATES[each.verdict?.prints === false ? "not" : each.state] || ["none", each.state])))) : "",
+    others.length ? group("Job folders", others.map((each) => row("results", each.id, ...state(each)))) : "",
     group("Prints", store.runs.slice(0, 6).map((run) => make("li", {}, make("button", { type: "button", title: run.name, onclick: () => { location.hash = `#${chosen.kind || "none"}/${encodeURIComponent(chosen.id || "")}/print`; } },
       mark(run.running ? "busy" : run.state === "complete" ? "good" : "warn"), make("span", {}, run.name), make("small", {}, `${run.running ? "running" : run.state} · ${day(run.began)}`)))), "None yet."),
     trash ? make("p", { class: "none" }, `${trash} in the folder “trash” of the workspace`) : "",
@@ -150,32 +159,55 @@ at("tabs").addEventListener("keydown", (event) => {
 });
 
 function choose() {
-  const input = make("input", { type: "file", accept: ".stl,.3mf,.ply,.obj,.toml" });
-  input.onchange = () => input.files.length && take(input.files[0]);
+  const input = make("input", { type: "file", accept: ".stl,.3mf,.ply,.obj,.step,.stp,.toml", multiple: true });
+  input.onchange = () => takeAll([...input.files]);
   input.click();
 }
 
-/** Take a file that was dropped or chosen: a part, or a job file. */
+const KNOWN = /\.(stl|3mf|ply|obj|step|stp|toml)$/i;
+
+/** Files of what was dropped, those in folders included. */
+async function dropped(items) {
+  const entries = [...items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean), files = [];
+  const walk = async (entry) => {
+    if (entry.isFile) return files.push(await new Promise((done, fail) => entry.file(done, fail)));
+    const reader = entry.createReader();
+    for (let some; (some = await new Promise((done, fail) => reader.readEntries(done, fail))).length;) for (const each of some) await walk(each);
+  };
+  for (const entry of entries) await walk(entry);
+  return files;
+}
+
+/** Take files that were dropped or chosen, parts before the jobs that name them, and show the last one. */
+async function takeAll(files) {
+  const some = files.filter(({ name }) => KNOWN.test(name)), left = files.length - some.length;
+  if (left) say(`left out ${left === 1 ? files.find((each) => !some.includes(each)).name : `${left} files`}: drop STL, 3MF, PLY, OBJ, STEP or TOML files, and put job folders and slices into the folder of the workspace`, true);
+  let last = null;
+  for (const file of some.sort((a, b) => /\.toml$/i.test(a.name) - /\.toml$/i.test(b.name))) {
+    try { last = (await take(file)) || last; } catch (error) { say(error.message, true); }
+  }
+  if (!last) return;
+  await reload.workspace();
+  go(...last, "part");
+}
+
+/** Take a part or a job file; resolves to its kind and name. */
 async function take(file) {
-  try {
-    if (/\.toml$/i.test(file.name)) {
-      const name = `${free(file.name)}.toml`;
-      await send("PUT", `jobs/${path(name)}`, { text: await file.text() });
-      await reload.workspace();
-      return go("jobs", name, "part");
-    }
-    if (!/\.(stl|3mf|ply|obj)$/i.test(file.name)) throw new Refused(`${file.name} is no part or job: drop an STL, 3MF, PLY, OBJ or TOML file`, 0);
-    let again = false;
-    if (store.workspace.parts.some(({ id }) => id === file.name)) {
-      if (!await ask(`Replace ${file.name}?`, "The workspace has a part of this name. Jobs that use it get the new one.", "Replace")) return;
-      again = true;
-    }
-    const line = make("p", { class: "toast" }, `Uploading ${file.name}`);
-    at("said").append(line);
-    try { await upload(file, again, (share) => put(line, `Uploading ${file.name}: ${percent(share, 0)}`)); } finally { line.remove(); }
-    await reload.workspace();
-    go("parts", file.name, "part");
-  } catch (error) { say(error.message, true); }
+  if (/\.toml$/i.test(file.name)) {
+    const name = `${free(file.name)}.toml`;
+    await send("PUT", `jobs/${path(name)}`, { text: await file.text() });
+    await reload.workspace(); // the next one finds another free name
+    return ["jobs", name];
+  }
+  let again = false;
+  if (store.workspace.parts.some(({ id }) => id === file.name)) {
+    if (!await ask(`Replace ${file.name}?`, "The workspace has a part of this name. Jobs that use it get the new one.", "Replace")) return null;
+    again = true;
+  }
+  const line = make("p", { class: "toast" }, `Uploading ${file.name}`);
+  at("said").append(line);
+  try { await upload(file, again, (share) => put(line, `Uploading ${file.name}: ${percent(share, 0)}`)); } finally { line.remove(); }
+  return ["parts", file.name];
 }
 
 let over = 0;
@@ -186,7 +218,7 @@ addEventListener("drop", (event) => {
   event.preventDefault();
   over = 0;
   document.body.classList.remove("drop");
-  if (event.dataTransfer.files.length) take(event.dataTransfer.files[0]);
+  dropped(event.dataTransfer.items).then(takeAll).catch((error) => say(error.message, true));
 });
 
 at("menu").addEventListener("click", () => at("menu").setAttribute("aria-expanded", String(at("side").classList.toggle("open"))));
@@ -200,13 +232,13 @@ at("theme").addEventListener("change", (event) => {
 
 function running() {
   const now = store.tasks.find(({ state }) => ["running", "cancelling"].includes(state)), waits = store.tasks.filter(({ state }) => state === "queued").length;
-  const named = now && { solve: "Solving", prove: "Simulating", expose: "Exposing", orient: "Comparing orientations of", export: "Exporting", rehearse: "Dry run of", print: "Printing" }[now.kind];
+  const named = now && { solve: "Solving", model: "Modeling", prove: "Simulating", expose: "Exposing", orient: "Comparing orientations of", export: "Exporting", rehearse: "Dry run of", print: "Printing" }[now.kind];
   put(at("running"), now ? `${named} ${now.job || now.result}${now.progress?.share ? ` · ${percent(now.progress.share, 0)}` : ""}${waits ? ` · ${waits} waiting` : ""}` : "");
 }
 
 on("lost", (is) => {
   at("lost").hidden = !is;
-  if (is) put(at("lost"), is !== true ? is : "The server of Studio does not answer. A solve or print that runs goes on. This page tries again by itself; if it stays so, start `vam studio` again.");
+  if (is) put(at("lost"), is !== true ? is : "The server of Studio does not answer. A running solve or print continues. This page tries again by itself; if that fails, start `vam studio` again.");
 });
 on("workspace", async () => {
   const before = JSON.stringify([chosen.job?.state, chosen.job?.modified, chosen.job?.result, chosen.part?.modified, chosen.result?.modified, chosen.result?.state]);

@@ -9,6 +9,7 @@ const IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 const UNITS = [["mm", 1], ["µm", 0.001], ["cm", 10], ["m", 1000], ["inch", 25.4]];
 const multiply = (a, b) => a.map((row) => b[0].map((_, c) => row.reduce((sum, value, k) => sum + value * b[k][c], 0)));
 const SHOWN = 120000; // triangles
+const DOSES = { gray: 0.7, "keep out": 0.7 }; // of roles that need one, until it is changed
 const inMm = (text) => meant({ type: "quantity", unit: "mm" }, text);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
@@ -24,6 +25,18 @@ function angles(m) {
   return [Math.atan2(m[2][1], m[2][2]), y, Math.atan2(m[1][0], m[0][0])].map((each) => Math.round((each * 1800) / Math.PI) / 10 + 0);
 }
 
+/** Points and triangles of one body of a mesh. */
+function piece({ positions, indices, owner }, number_) {
+  const places = new Map(), points = [], faces = [];
+  for (let k = 0; k < indices.data.length; k++) {
+    if ((owner?.data[Math.floor(k / 3)] || 0) !== number_) continue;
+    const corner = indices.data[k];
+    if (!places.has(corner)) { places.set(corner, places.size); for (let c = 0; c < 3; c++) points.push(positions.data[3 * corner + c]); }
+    faces.push(places.get(corner));
+  }
+  return { points: Float32Array.from(points), faces: Uint32Array.from(faces) };
+}
+
 const clean = (matrix) => matrix.map((row) => row.map((value) => +value.toFixed(6) + 0));
 
 export class PartTab {
@@ -31,7 +44,7 @@ export class PartTab {
     this.root = root;
     this.body = 0;
     if (!chosen.job && !chosen.part) {
-      root.append(empty("This job folder has no job file here", "Its results are under Look. To print the part anew, add its job file (TOML)."));
+      root.append(empty("This job folder has no job file here", "Its results are under Look. To print the part again, add its job file (TOML)."));
       return;
     }
     this.canvas = make("canvas", { class: "scene", tabindex: 0, role: "img", "aria-label": "The part in its vial, in three dimensions. Drag or use the arrow keys to turn the view, plus and minus to zoom." });
@@ -55,7 +68,7 @@ export class PartTab {
     const turn = (this.loading = (this.loading || 0) + 1), { job, part } = chosen;
     try {
       const [mesh, scene, about_] = await Promise.all([
-        (job && Array.isArray(chosen.file.fields.body) ? this.pieces(chosen.file.fields.body) : arrays(`${job ? `jobs/${path(job.id)}` : `parts/${path(part.id)}`}/mesh?most=${SHOWN}`)).catch((error) => ({ error })),
+        arrays(`${job ? `jobs/${path(job.id)}` : `parts/${path(part.id)}`}/mesh?most=${SHOWN}`).catch((error) => ({ error })),
         job ? get(`jobs/${path(job.id)}/scene`) : null,
         part ? get(`parts/${path(part.id)}`) : null,
       ]);
@@ -68,34 +81,17 @@ export class PartTab {
     }
   }
 
-  /** Meshes of bodies, each where the job places it: turned and scaled about the origin, printed ones centered along z. */
-  async pieces(bodies) {
-    const { factor = 1, origin = null } = chosen.file.fields.target || {}, turn = this.matrix();
-    const known = bodies.map(({ mesh }) => store.workspace.parts.find(({ id }) => id === mesh)), ends = [Infinity, -Infinity];
-    const all = await Promise.all(known.map((part) => (part ? arrays(`parts/${path(part.id)}/mesh?most=${SHOWN}`) : null)));
-    const shift = origin ? turn.map((row) => -factor * dot(row, origin)) : [0, 0, 0];
-    const pieces = all.map((mesh, n) => {
-      if (!mesh) return { points: new Float32Array(0), faces: new Uint32Array(0), role: bodies[n].role };
-      const points = mesh.positions.data;
-      for (let k = 0; k < points.length; k += 3) points.set(turn.map((row, axis) => factor * dot(row, points.subarray(k, k + 3)) + shift[axis]), k);
-      if (["print", "gray", undefined].includes(bodies[n].role)) for (let k = 2; k < points.length; k += 3) { ends[0] = Math.min(ends[0], points[k]); ends[1] = Math.max(ends[1], points[k]); }
-      return { points, faces: mesh.indices.data, role: bodies[n].role || "print" };
-    });
-    if (!origin && ends[0] < ends[1]) for (const { points } of pieces) for (let k = 2; k < points.length; k += 3) points[k] -= (ends[0] + ends[1]) / 2;
-    return { pieces };
-  }
-
   /** Put the mesh and the vessel into the view. */
   place() {
     const { mesh } = this;
     if (!mesh.error) {
-      this.view.bodies(mesh.pieces || [{ points: mesh.positions.data, faces: mesh.indices.data, role: this.bodies()[0].role }]);
+      this.view.bodies(this.bodies().map(({ role }, n) => ({ ...piece(mesh, n), role })));
       const center = this.scene ? [0, 0, 0] : [0, 1, 2].map((k) => (this.about.low[k] + this.about.high[k]) / 2);
       this.view.place(IDENTITY, 1, center);
     }
     this.view.vessel(this.stage());
     const line = (type, text) => make("span", {}, make("i", { class: type }), text);
-    this.caption.replaceChildren(...(this.scene ? [line("glass", "vial"), line("lit", "lit by the projector"), line("fits", "prints: every angle lights it"), line("beyond", "does not fit")] : [make("span", {}, "The part as drawn. Make a job to see it in a vial.")]));
+    this.caption.replaceChildren(...(this.scene ? [line("glass", "vial"), line("lit", "lit by the projector"), line("fits", "printable: lit at every angle"), line("beyond", "does not fit")] : [make("span", {}, "The part as drawn. Make a job to see it in a vial.")]));
   }
 
   stage() {
@@ -109,8 +105,11 @@ export class PartTab {
   }
 
   bodies() {
-    const all = chosen.file?.fields.body;
-    return Array.isArray(all) ? all.map((each, n) => ({ role: each.role || "print", name: each.name || each.mesh || each.shape || `body ${n + 1}` })) : [{ role: "print", name: chosen.part?.id || "part" }];
+    const all = chosen.file?.fields.body, drawn = this.mesh.meta?.bodies || [];
+    const named = (each, entry) => drawn.filter((body) => body.entry === entry).map((body) => ({ ...body, named: true, dose: body.role in DOSES ? each.dose : undefined }));
+    if (Array.isArray(all)) return all.flatMap((each, entry) => each.roles ? named(each, entry) : [{ entry, role: each.role || "print", dose: each.dose, name: each.name || (each.part ? `${each.mesh}, part ${each.part}` : each.mesh || each.shape || `body ${entry + 1}`) }]);
+    const solids = this.about?.bodies || [{}], file = chosen.part?.id || "part";
+    return solids.map(({ name }, entry) => ({ entry, role: "print", said: name, name: name || (solids.length > 1 ? `${file}, part ${entry + 1}` : file) }));
   }
 
   fill() {
@@ -137,7 +136,7 @@ export class PartTab {
     let factor = 1;
     const name = make("input", { value: free(chosen.part.id), "aria-label": "Name of the job" });
     const height = make("input", { value: number(extents[2], 4), placeholder: "as drawn" });
-    const doubt = this.about.doubts.length > 0, fault = make("p", { class: "error", role: "alert" });
+    const doubt = this.about.doubts.some((each) => each.includes("unit")), fault = make("p", { class: "error", role: "alert" });
     const unit = select("Unit of the file", UNITS.map(([text, mm]) => [String(mm), `${text}: ${length(extents[2] * mm)} high`]), "1", (value) => {
       factor = +value;
       height.value = number(extents[2] * factor, 4);
@@ -196,27 +195,34 @@ export class PartTab {
 
   roles() {
     const many = Array.isArray(chosen.file.fields.body), all = this.bodies();
-    const rows = all.map(({ role, name }, n) => make("div", { class: "body", "data-body": n },
+    const says = many ? [] : (this.about?.bodies || []).map(({ role }) => role), asked = says.some((role) => role && role !== "print");
+    const rows = all.map(({ role, name, dose, entry, named }, n) => make("div", { class: "body", "data-body": n },
       make("i", { class: `role ${role.replace(/[^a-z]/g, "")}` }),
-      select(name, Object.keys(ROLES).map((each) => [each, each]), role, (value) => this.role(n, value)),
-      many && all.length > 1 ? button("Remove", () => this.save({}, [`body.${n}`]), { class: "quiet", "aria-label": `Remove ${name}` }) : null));
+      named ? make("span", {}, `${name}: ${role}`) : select(name, Object.keys(ROLES).map((each) => [each, each]), role, (value) => this.role(entry, value)),
+      role in DOSES && !named ? make("label", { class: "field dose" }, make("span", {}, role === "gray" ? "Dose, of what prints" : "Dose below, of what prints"), make("input", { value: dose ?? "", inputmode: "decimal", "aria-label": `Dose of ${name}`, onchange: (event) => this.save({ [`body.${entry}.dose`]: +event.target.value }) })) : null,
+      many && all.length > 1 && !named ? button("Remove", () => this.save({}, [`body.${entry}`]), { class: "quiet", "aria-label": `Remove ${name}` }) : null));
     const parts = store.workspace.parts.map(({ id }) => id);
     let adds = parts[0];
     return card("Bodies and their roles", make("div", { class: "stack tight" }, rows,
-      make("p", { class: "soft" }, many ? "Bodies stand where they were drawn. Click one in the view to choose its role." : "This job prints one body. Add another, as drawn in the same coordinates, to keep resin out or to print around an insert."),
+      asked ? make("div", { class: "row" }, button("Use the roles in their names", () => this.become(says))) : null,
+      make("p", { class: "soft" }, many || all.length > 1 ? "Bodies keep their drawn positions. Click one in the view to choose its role." : "This job prints one body. Add another, as drawn in the same coordinates, to keep resin out or to print around an insert."),
       parts.length ? make("div", { class: "row nowrap" }, select("Add a body", parts.map((id) => [id, id]), adds, (value) => { adds = value; }),
         button("Add", () => this.add(adds))) : null));
   }
 
   add(part) {
-    const many = Array.isArray(chosen.file.fields.body) ? chosen.file.fields.body.length : 0;
-    if (many) return this.save({ [`body.${many}.mesh`]: part, [`body.${many}.role`]: "keep out" });
-    return this.become("print", { "body.1.mesh": part, "body.1.role": "keep out" });
+    const count = (chosen.file.fields.body || this.bodies()).length, more = { [`body.${count}.mesh`]: part, [`body.${count}.role`]: "keep out", [`body.${count}.dose`]: DOSES["keep out"] };
+    return Array.isArray(chosen.file.fields.body) ? this.save(more) : this.become({}, more);
   }
 
   /** Turn a job of one part into one of bodies: the part keeps its place by a factor and an origin. */
-  async become(role, more = {}) {
-    const target = chosen.file.fields.target || {}, set = { [target.mesh ? "body.0.mesh" : "body.0.shape"]: target.mesh || target.shape, "body.0.role": role, ...more };
+  async become(roles, more = {}) {
+    const target = chosen.file.fields.target || {}, set = {}, all = this.bodies();
+    all.forEach(({ said }, n) => {
+      const role = roles[n] || "print";
+      Object.assign(set, { [`body.${n}.${target.mesh ? "mesh" : "shape"}`]: target.mesh || target.shape, ...(all.length > 1 ? { [`body.${n}.part`]: n + 1 } : {}), ...(said ? { [`body.${n}.name`]: said } : {}), [`body.${n}.role`]: role, ...(role in DOSES ? { [`body.${n}.dose`]: DOSES[role] } : {}) });
+    });
+    Object.assign(set, more);
     if (chosen.part && this.mesh.positions) {
       const drawn = (await arrays(`parts/${path(chosen.part.id)}/mesh?most=${SHOWN}`)).positions.data, placed = this.mesh.positions.data, turn = this.matrix();
       const away = (points, k) => Math.hypot(points[k] - points[0], points[k + 1] - points[1], points[k + 2] - points[2]);
@@ -230,8 +236,10 @@ export class PartTab {
   }
 
   role(n, value) {
-    if (Array.isArray(chosen.file.fields.body)) return this.save({ [`body.${n}.role`]: value });
-    return this.become(value);
+    if (!Array.isArray(chosen.file.fields.body)) return this.become({ [n]: value });
+    const without = [...(value in DOSES ? [] : ["dose"]), ...(value === "insert" ? [] : ["index", "absorption"])].filter((key) => key in chosen.file.fields.body[n]);
+    const dose = value in DOSES && !("dose" in chosen.file.fields.body[n]) ? { [`body.${n}.dose`]: DOSES[value] } : {};
+    return this.save({ [`body.${n}.role`]: value, ...dose }, without.map((key) => `body.${n}.${key}`));
   }
 
   standing() {

@@ -6,7 +6,7 @@ import { chosen, go, mark } from "./main.js";
 import { Slices, heat } from "./slices.js";
 
 const BUSY = ["queued", "running", "cancelling"];
-export const KINDS = { solve: "Solve", prove: "Simulate", expose: "Expose with errors", orient: "Compare orientations", export: "Export", rehearse: "Dry run", print: "Print" };
+export const KINDS = { solve: "Solve", model: "Model", prove: "Simulate", expose: "Expose with errors", orient: "Compare orientations", export: "Export", rehearse: "Dry run", print: "Print" };
 const STATES = { queued: ["none", "waits"], running: ["busy", "running"], cancelling: ["busy", "stopping"], done: ["good", "done"], failed: ["bad", "failed"], cancelled: ["warn", "cancelled"] };
 
 export class SolveTab {
@@ -28,7 +28,7 @@ export class SolveTab {
 
   /** The task to show at large: the newest of this job that solves or simulates. */
   task() {
-    const own = store.tasks.filter(({ kind, job, result }) => ["solve", "prove", "expose"].includes(kind) && (job === chosen.job?.id || (result && result === chosen.result?.id)));
+    const own = store.tasks.filter(({ kind, job, result }) => ["solve", "model", "prove", "expose"].includes(kind) && (job === chosen.job?.id || (result && result === chosen.result?.id)));
     return own.find(({ state }) => state === "running" || state === "cancelling") || own.find(({ state }) => state === "queued") || own[0] || null;
   }
 
@@ -44,12 +44,13 @@ export class SolveTab {
     const interrupted = job.state === "interrupted", invalid = chosen.file?.errors.length;
     const busy = store.tasks.some((task) => task.job === job.id && BUSY.includes(task.state) && task.kind === "solve");
     const check = (name, text_) => make("label", { class: "check" }, make("input", { type: "checkbox", checked: want[name], onchange: (event) => { want[name] = event.target.checked; } }), make("span", {}, text_));
-    const label = busy ? "Solving" : interrupted && !want.fresh ? "Go on" : job.state === "new" ? "Solve" : "Solve again";
-    this.start.replaceChildren(card("Solve this job", make("div", { class: "stack tight" },
+    const stack = job.kind === "slices", verb = stack ? "Correct" : "Solve";
+    const label = busy ? (stack ? "Correcting" : "Solving") : interrupted && !want.fresh ? "Continue" : job.state === "new" ? verb : `${verb} again`;
+    this.start.replaceChildren(card(stack ? "Correct these slices" : "Solve this job", make("div", { class: "stack tight" },
       select("Device", [["", store.devices.length ? "best one" : "searching for devices …"], ...store.devices.map(({ name, description }) => [name, description || name])], want.device, (value) => { want.device = value; }, { "data-key": "device" }),
-      check("prove", "Simulate the print afterwards, for the verdict"), interrupted ? check("fresh", "Start afresh instead of going on") : null,
+      stack ? null : check("prove", "Simulate the print afterwards, for the verdict"), interrupted ? check("fresh", "Start from scratch instead of continuing") : null,
       invalid ? make("p", { class: "error" }, "The job has a wrong value: see Machine and resin.") : null,
-      button(label, () => send("POST", "tasks", { kind: "solve", job: job.id, device: want.device || null, prove: want.prove, fresh: want.fresh || job.state === "changed" || ["solved", "proved"].includes(job.state), set: {} }).then(reload.tasks), { class: "primary", disabled: busy || Boolean(invalid) }))));
+      button(label, () => send("POST", "tasks", { kind: "solve", job: job.id, device: want.device || null, prove: want.prove, fresh: want.fresh || ["changed", "solved", "proved"].includes(job.state), set: {} }).then(reload.tasks), { class: "primary", disabled: busy || Boolean(invalid) }))));
   }
 
   running() {
@@ -95,7 +96,7 @@ export class SolveTab {
     const act = (verb) => () => send("POST", `tasks/${path(task.id)}/${verb}`).then(reload.tasks);
     this.parts.buttons.replaceChildren(...[
       busy && button(task.state === "cancelling" ? "Stopping; press after 10 s to end it at once" : task.kind === "solve" ? "Stop; keep the patterns so far" : "Stop", act("cancel"), { class: "stop" }),
-      !busy && task.resumable && button("Go on", act("resume"), { class: "primary" }),
+      !busy && task.resumable && button("Continue", act("resume"), { class: "primary" }),
       task.state === "done" && task.result && button("Show the result", () => go(chosen.kind, chosen.id, "look"), { class: "primary" }),
       button("Output", async () => {
         this.parts.log.hidden = !this.parts.log.hidden;
@@ -136,13 +137,13 @@ export class SolveTab {
     const rows = store.tasks.slice(0, 12).map((task) => {
       const [sort, said] = STATES[task.state] || ["none", task.state], busy = BUSY.includes(task.state);
       return make("li", {}, mark(sort), make("span", {}, `${KINDS[task.kind] || task.kind} · ${task.job || task.result}`), make("small", {}, busy ? `${said}${task.progress?.share ? ` · ${percent(task.progress.share, 0)}` : ""}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}` : [said, ...(task.kind === "export" ? task.made || [] : []), day(task.ended || task.added)].join(" · ")),
-        busy ? button("Stop", () => send("POST", `tasks/${path(task.id)}/cancel`).then(reload.tasks), { class: "quiet", "aria-label": `Stop ${KINDS[task.kind]} of ${task.job || task.result}` }) : button("Clear", () => send("DELETE", `tasks/${path(task.id)}`).then(reload.tasks), { class: "quiet", "aria-label": `Take ${KINDS[task.kind]} of ${task.job || task.result} off the list` }));
+        busy ? button("Stop", () => send("POST", `tasks/${path(task.id)}/cancel`).then(reload.tasks), { class: "quiet", "aria-label": `Stop ${KINDS[task.kind]} of ${task.job || task.result}` }) : button("Clear", () => send("DELETE", `tasks/${path(task.id)}`).then(reload.tasks), { class: "quiet", "aria-label": `Remove ${KINDS[task.kind]} of ${task.job || task.result} from the list` }));
     });
     this.queue.replaceChildren(card("Queue", rows.length ? make("ul", { class: "queue" }, rows) : make("p", { class: "soft" }, "Nothing ran yet. One task runs at a time on a device; others wait here.")));
   }
 
   comparing() {
-    const all = store.workspace.results.filter(({ state }) => ["solved", "proved"].includes(state)).map(({ id }) => id), a = chosen.result?.id;
+    const all = store.workspace.results.filter(({ state, kind }) => kind === "vial" && ["solved", "proved"].includes(state)).map(({ id }) => id), a = chosen.result?.id;
     if (!all.includes(a) || all.length < 2) return this.compare.replaceChildren();
     const others = all.filter((id) => id !== a), b = others.includes(this.other) ? this.other : "";
     this.table ||= make("div", { class: "stack" });
@@ -157,7 +158,7 @@ export class SolveTab {
       const { rows, keys } = await get(`compare?a=${encodeURIComponent(a)}&b=${encodeURIComponent(b)}`);
       const cells = (list, first) => list.map((each) => make("tr", {}, make("th", { scope: "row" }, each[first], each.meaning ? make("small", { class: "block" }, each.meaning) : null), make("td", { class: "n" }, String(each.a ?? "–")), make("td", { class: "n" }, String(each.b ?? "–"))));
       const header = (what) => make("thead", {}, make("tr", {}, make("th", { scope: "col" }, what), make("th", { scope: "col", class: "n" }, a), make("th", { scope: "col", class: "n" }, b)));
-      this.table.replaceChildren(make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Results" }, make("table", { "aria-label": "Results of both" }, header("result"), make("tbody", {}, cells(rows, "name")))), keys.length ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Keys" }, make("table", { "aria-label": "Keys that differ" }, header("key that differs"), make("tbody", {}, cells(keys, "key")))) : make("p", { class: "soft" }, "Their job files hold the same values."));
+      this.table.replaceChildren(make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Results" }, make("table", { "aria-label": "Results of both" }, header("result"), make("tbody", {}, cells(rows, "name")))), keys.length ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Keys" }, make("table", { "aria-label": "Keys that differ" }, header("key that differs"), make("tbody", {}, cells(keys, "key")))) : make("p", { class: "soft" }, "Their job files have the same values."));
       await this.differ(a, b);
     } catch (error) { this.table.replaceChildren(make("p", { class: "note bad" }, error.message)); }
   }

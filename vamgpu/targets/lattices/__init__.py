@@ -3,8 +3,6 @@
 Arguments are x, y, z, or l, ρ, z on a web; lengths in mm; the solid is where the value is negative.
 """
 
-from __future__ import annotations
-
 from vamgpu.targets.lattices.capsules import Capsules
 from vamgpu.targets.lattices.tpms import SchwarzP, SheetGyroid, SkeletalDiamond, SkeletalGyroid
 from vamgpu.targets.lattices.trusses import CubicLattice, OctetTruss, Pentamode

@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from types import MappingProxyType
 
 from vamgpu.errors import BadInput
 from vamgpu.targets.shapes.calibration import exposure_disk
@@ -33,22 +32,20 @@ __all__ = [
     "screw",
 ]
 
-_SHAPES: MappingProxyType[str, Callable[..., Solid]] = MappingProxyType(
-    {
-        "boat": boat,
-        "exposure_disk": exposure_disk,
-        "crossing_channels": crossing_channels,
-        "screw": screw,
-        "nut": nut,
-        "gears_0um": partial(gears, gap=0.0),
-        "gears_50um": partial(gears, gap=0.05),
-        "gears_100um": partial(gears, gap=0.1),
-        "gear_base": gear_base,
-        "gyroid_sphere": gyroid_sphere,
-        "cubic_lattice": cubic_lattice,
-        "pentamode": pentamode,
-    }
-)
+_SHAPES: Mapping[str, Callable[..., Solid]] = {
+    "boat": boat,
+    "exposure_disk": exposure_disk,
+    "crossing_channels": crossing_channels,
+    "screw": screw,
+    "nut": nut,
+    "gears_0um": partial(gears, gap=0.0),
+    "gears_50um": partial(gears, gap=0.05),
+    "gears_100um": partial(gears, gap=0.1),
+    "gear_base": gear_base,
+    "gyroid_sphere": gyroid_sphere,
+    "cubic_lattice": cubic_lattice,
+    "pentamode": pentamode,
+}
 
 
 def names() -> tuple[str, ...]:

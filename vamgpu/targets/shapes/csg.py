@@ -18,8 +18,13 @@ def to_solid(body: Manifold, name: str) -> Solid:
     """Turn a manifold3d body [mm] into a centered Solid."""
     if body.status() != Error.NoError:
         raise MeshError(f"{name}: the generated surface is not closed ({body.status()}); choose other dimensions")
+    return Solid(*triangles(body), name).centered()
+
+
+def triangles(body: Manifold) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
+    """Vertices [mm] and faces of a body."""
     mesh = body.to_mesh64()
-    return Solid(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), name).centered()
+    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, np.int32)
 
 
 def from_triangles(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]) -> Manifold:

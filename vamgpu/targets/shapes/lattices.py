@@ -77,15 +77,11 @@ def pentamode(cells: int = 3, cell: float = 3.2, touch: float = 0.13, middle: fl
     length = 0.25 * np.sqrt(3.0) * cell
     half_outline = [(0.0, 0.0), (0.5 * touch, 0.0), (0.5 * middle, 0.5 * length), (0.5 * touch, length), (0.0, length)]
     cone = Manifold.revolve(polygon(half_outline), 16)
-    points = [_point(atom * 0.25 * cell) for atom in atoms]
+    points: list[Point] = [(float(x), float(y), float(z)) for x, y, z in atoms * 0.25 * cell]
     struts = [along(cone, points[a], points[b]) for a, b in bonds]
     used = np.unique(bonds)
     joints = [Manifold.sphere(0.5 * touch, 12).translate(points[a]) for a in used]
     return to_solid(union(struts + joints), "pentamode")
-
-
-def _point(values: Array) -> Point:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _diamond(cells: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from manifold3d import CrossSection, Manifold, OpType
 
-from vamgpu.targets.shapes.csg import Point, box, from_triangles, polygon, rod, stroke, to_solid, union
+from vamgpu.targets.shapes.csg import box, from_triangles, polygon, rod, stroke, to_solid, union
 from vamgpu.targets.solid import Solid
 
 _LENGTH, _BEAM, _DEPTH = 12.6, 6.4, 3.6
@@ -36,8 +36,16 @@ def boat(height: float = 11.5) -> Solid:
     Returns:
         The boat.
     """
-    body = _hull() + _cabin() + _deck_box() + _flag_pole_holder() + _lettering("VAM")
-    body = body - _chimney_hole() - _hawse_holes() - _blind_hole() - _flag_pole_hole()
+    low, high = (-5.0, -0.9, _DECK - 0.3), (-3.6, 0.9, _DECK + 1.25)
+    deck_box = box(low, high) - box((low[0] + 0.4, low[1] + 0.4, _DECK + 0.2), (high[0] - 0.4, high[1] - 0.4, 9.0))
+    flag_pole_holder = rod((*_FLAG, 2.4), (*_FLAG, _FLAG_TOP), 0.36)
+    body = _hull() + _cabin() + deck_box + flag_pole_holder + _lettering("VAM")
+    chimney_hole = rod((-1.0, 0.0, 7.0), (-1.0, 0.0, _HEIGHT + 1.0), 0.45)
+    blind_hole = rod((-8.0, 0.0, 1.4), (-4.6, 0.0, 1.4), 0.45)
+    flag_pole_hole = rod((*_FLAG, _FLAG_TOP - 1.4), (*_FLAG, _FLAG_TOP + 1.0), 0.20)
+    # pipes run from the foredeck outward and down through the bulwarks
+    hawse_holes = union(rod((3.9, 0.6 * side, 4.1), (4.5, 3.6 * side, 3.3), 0.26) for side in (-1.0, 1.0))
+    body = body - chimney_hole - hawse_holes - blind_hole - flag_pole_hole
     return to_solid(body, "boat").placed(height=height)
 
 
@@ -48,23 +56,16 @@ def _half_breadth(s: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float6
     return 0.5 * _BEAM * plan * flare
 
 
-def _sheer(s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return _DEPTH * (1.0 + 0.42 * s**2.5 + 0.06 * (1.0 - s) ** 2)
-
-
-def _stem(s: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
-    """Position along the boat: the stem leans forward, the transom slightly aft."""
-    aft, fore = -0.5 * _LENGTH + 0.5 * (1.0 - t), 0.5 * _LENGTH - 1.9 * (1.0 - t) ** 1.3
-    return aft + s * (fore - aft)
-
-
 def _loft(levels: npt.NDArray[np.float64], swell: float = 0.0, shrink: float = 1.0, lift: float = 0.0) -> Manifold:
     """A body between waterlines: swollen sideways by swell, shrunk in plan, raised by lift above the last level."""
     s = 1.0 - np.linspace(1.0, 0.0, _STATIONS) ** 1.5  # denser near the rounded stem
     rings = []
     for index, t in enumerate(levels):
-        z = t * _sheer(s) + (lift if index == len(levels) - 1 else 0.0)
-        x, y = shrink * _stem(s, float(t)), shrink * _half_breadth(s, float(t)) + swell * (1.0 - s**8)
+        sheer = _DEPTH * (1.0 + 0.42 * s**2.5 + 0.06 * (1.0 - s) ** 2)
+        z = t * sheer + (lift if index == len(levels) - 1 else 0.0)
+        # the stem leans forward, the transom slightly aft
+        aft, fore = -0.5 * _LENGTH + 0.5 * (1.0 - t), 0.5 * _LENGTH - 1.9 * (1.0 - t) ** 1.3
+        x, y = shrink * (aft + s * (fore - aft)), shrink * _half_breadth(s, float(t)) + swell * (1.0 - s**8)
         starboard, port = np.stack([x, -y, z], axis=1), np.stack([x, y, z], axis=1)
         rings.append(np.concatenate([starboard, port[-2::-1]]))
     return from_triangles(np.concatenate(rings), _ring_faces(len(levels)))
@@ -113,7 +114,8 @@ def _cabin() -> Manifold:
     shell -= box((fore - 1.0, -1.15, 5.2), (fore + 2.0, 1.15, 7.3))
     door = polygon([(-0.7, _DECK), (0.7, _DECK), (0.7, 5.7), (0.35, 6.5), (-0.35, 6.5), (-0.7, 5.7)])
     shell -= door.extrude(2.0).rotate((90.0, 0.0, 90.0)).translate((aft - 1.0, 0.0, 0.0))
-    return shell + _chimney(eaves)
+    chimney = rod((-1.0, 0.0, eaves), (-1.0, 0.0, _HEIGHT), 0.85, 0.72)
+    return shell + chimney + rod((-1.0, 0.0, _HEIGHT - 0.55), (-1.0, 0.0, _HEIGHT), 0.95)
 
 
 def _roof(aft: float, fore: float, half: float, eaves: float) -> Manifold:
@@ -123,44 +125,6 @@ def _roof(aft: float, fore: float, half: float, eaves: float) -> Manifold:
     slab = plan.translate((0.5 * (aft + fore), 0.0)).extrude(2.0).translate((0.0, 0.0, eaves - 0.3))
     vault = rod((aft - 1.0, 0.0, eaves + 0.75 - radius), (fore + 1.0, 0.0, eaves + 0.75 - radius), radius, segments=256)
     return slab ^ vault
-
-
-def _chimney(eaves: float) -> Manifold:
-    x = -1.0
-    stack = rod((x, 0.0, eaves), (x, 0.0, _HEIGHT), 0.85, 0.72)
-    return stack + rod((x, 0.0, _HEIGHT - 0.55), (x, 0.0, _HEIGHT), 0.95)
-
-
-def _chimney_hole() -> Manifold:
-    return rod((-1.0, 0.0, 7.0), (-1.0, 0.0, _HEIGHT + 1.0), 0.45)
-
-
-def _deck_box() -> Manifold:
-    """A box on the after deck with a square blind hole."""
-    low, high = (-5.0, -0.9, _DECK - 0.3), (-3.6, 0.9, _DECK + 1.25)
-    return box(low, high) - box((low[0] + 0.4, low[1] + 0.4, _DECK + 0.2), (high[0] - 0.4, high[1] - 0.4, 9.0))
-
-
-def _flag_pole_holder() -> Manifold:
-    return rod((*_FLAG, 2.4), (*_FLAG, _FLAG_TOP), 0.36)
-
-
-def _flag_pole_hole() -> Manifold:
-    return rod((*_FLAG, _FLAG_TOP - 1.4), (*_FLAG, _FLAG_TOP + 1.0), 0.20)
-
-
-def _hawse_holes() -> Manifold:
-    """Pipes that run from the foredeck outward and down through the bulwarks."""
-    pipes: list[Manifold] = []
-    for side in (-1.0, 1.0):
-        inside: Point = (3.9, 0.6 * side, 4.1)
-        outside: Point = (4.5, 3.6 * side, 3.3)
-        pipes.append(rod(inside, outside, 0.26))
-    return union(pipes)
-
-
-def _blind_hole() -> Manifold:
-    return rod((-8.0, 0.0, 1.4), (-4.6, 0.0, 1.4), 0.45)
 
 
 def _lettering(text: str, size: float = 1.35, raised: float = 0.16) -> Manifold:
