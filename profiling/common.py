@@ -114,3 +114,15 @@ def benchy(mesh: Path, n: int, device: Any, pitch: float = 0.1) -> Any:
     solid = load_mesh(mesh)
     factor = FILL * 0.5 * n * pitch / solid.radius
     return vamgpu.Target.from_mesh(solid, factor=factor, pitch=pitch, margin=0, shape=(n, n, n), device=device)
+
+
+def gear(size: int = 64, pitch: float = 0.12) -> Any:
+    """Nine teeth, two holes of different sizes and a slit, (size, size, 2)."""
+    import numpy as np
+
+    at = (np.arange(size) - 0.5 * (size - 1)) * pitch
+    x, y = np.meshgrid(at, at, indexing="ij")
+    part = np.hypot(x, y) < 2.85 + 0.45 * np.sign(np.cos(9.0 * np.arctan2(y, x)))
+    part &= (np.hypot(x - 1.3, y) >= 0.55) & (np.hypot(x + 1.3, y) >= 0.4)
+    part &= (np.abs(x) >= 0.25) | (np.abs(y) >= 1.9)
+    return np.repeat(part[:, :, None], 2, axis=2).astype(np.float32)

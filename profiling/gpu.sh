@@ -2,7 +2,9 @@
 # Everything that is measured on a machine with a GPU, in one go of less than eight minutes.
 #   DEVICES="warp:cuda:0" and SIZES="256 512" choose other devices and sizes; TAIL=lines of each log that are shown.
 #   OUT=folder MESH=benchy.stl LABEL=name bash profiling/gpu.sh [step ...]     steps: tests kernels projectors drtvam main
-#   and, when they are named: rings live bits robust gyroids slabs whole
+#   and, when they are named: rings live bits robust gyroids whole, and scaling: the same work on 1, 2, 4, … GPUs, at
+#   SCALING="512x360 1024x720", WHOLE=2048x1440x40, WEB=600 (mm), JOBS=10 of JOB=304x360x40. On processors:
+#   DEVICES=opencl:pocl:0 COUNTS="1 2" SCALING=48x96 WHOLE=32x48x2 WEB=6 WEB_PITCH=600 JOBS=2 JOB=32x48x2
 # Wants vamgpu's dependencies on PYTHONPATH (and pytest for the tests); ASTRA and torch beside them are timed where they
 # are there. Logs and records end up in OUT/all.tar.gz, written anew after every step; one that fails or takes too long
 # does not stop the next.
@@ -65,6 +67,17 @@ for device in $gpus; do
         --iterations 400 --records "$parts" --label "$label-$name"
     step "gyroids-$name" 120 "$python" profiling/gyroids.py --slices 2 --iterations 800 --device "$device" \
         --records "$parts" --label "$label-$name"
-    step "slabs-$name" 60 "$python" profiling/slabs.py --n 512 --angles 360 --devices "$device" "$device+$device" \
-        --records "$parts" --label "$label-$name"
 done
+kind=${gpus%% *}
+scaling() {
+    local name=$1
+    shift
+    step "scaling-$name" 580 "$python" profiling/scaling.py --kind "${kind%:*}" ${COUNTS:+--counts $COUNTS} "$@" \
+        --records "$parts" --label "$label-$name"
+}
+for size in ${SCALING:-512x360 1024x720}; do
+    scaling "$size" --sizes "$size"
+done
+scaling whole --whole "${WHOLE:-2048x1440x40}"
+scaling web --web "${WEB:-600}" ${WEB_PITCH:+--web-pitch "$WEB_PITCH"}
+scaling jobs --jobs "${JOBS:-10}" ${JOB:+--job "$JOB"}

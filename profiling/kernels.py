@@ -16,7 +16,7 @@ from common import HERE, chosen_devices, machine, timed, write_record
 import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.errors import OutOfMemory
-from vamgpu.kernels.catalog import kernels
+from vamgpu.kernels.catalog import kernels, text_hash
 from vamgpu.kernels.signature import Kernel
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -30,7 +30,8 @@ def profile(kernel: Kernel, device: Device, size: int, check: int, runs: int) ->
     reference, small = bind(vamgpu.open_device("numpy"), kernel, check), bind(device, kernel, check)
     reference.launch()
     small.launch()
-    record: dict[str, Any] = {"kernel": kernel.name, "device": device.name, "error": small.error(reference)}
+    record: dict[str, Any] = {"kernel": kernel.name, "text": text_hash(kernel), "device": device.name}
+    record["error"] = small.error(reference)
     try:
         bound = bind(device, kernel, size)
         record |= timed(bound.launch, device.synchronize, runs)

@@ -243,13 +243,15 @@ class DisturbedBench:
             setup.open_field, setup.noise, seed, self.scale,
         )  # fmt: skip
 
-    def best_stop(self, off: Disturbance) -> float:
-        """Greatest overlap of the planned light, whenever it ends."""
+    def planned(self, off: Disturbance) -> tuple[float, float]:
+        """Overlaps of the planned light: the greatest, whenever it ends, and after the turns of the plan."""
         printer, found = self.printer(off.of_light), [0.0]
-        while printer.turns < LONGEST and (max(found) == 0.0 or max(found) not in found[:-BEYOND]):
+        while printer.turns < LONGEST and (
+            printer.turns < PLANNED or max(found) == 0.0 or max(found) not in found[:-BEYOND]
+        ):
             printer.turn(self.light)
             found.append(printer.overlap(self.part))
-        return max(found)
+        return max(found), found[PLANNED]
 
     def printed(self, cell: tuple[str, int]) -> dict[str, Any]:
         """A live print: overlap, the greatest one of the planned light, what the loop predicted, and its alarm."""
@@ -260,9 +262,11 @@ class DisturbedBench:
         while decision is None or (decision.action != "stop" and printer.turns < LONGEST):
             printer.turn(np.asarray(state.light))
             state, decision = loop.decide(state, printer.images())
+        best, timer = self.planned(off)
         return {
-            "disturbed": name, "seed": seed, "best_stop": self.best_stop(off), "iou": printer.overlap(self.part),
+            "disturbed": name, "seed": seed, "best_stop": best, "timer": timer, "iou": printer.overlap(self.part),
             "predicted": decision.iou, "turns": printer.turns, "alarm": decision.doubt,
+            "turbidity": decision.parameters.get("turbidity"),
             "seconds": time.perf_counter() - began,
         }  # fmt: skip
 
@@ -392,7 +396,7 @@ def told(record: dict[str, Any]) -> str:
 
 def _of_disturbed(record: dict[str, Any]) -> str:
     """Of each disturbance: overlap of the live print, and whether it is no less than the best stop's and predicted."""
-    lines, kept, silent = ["| disturbance | best stop | live | predicted | alarm |", "|---|---|---|---|---|"], 0, 0
+    lines, kept, silent = ["| disturbance | timer | best stop | live | predicted | alarm |", "|---" * 6 + "|"], 0, 0
     order = list(DISTURBED)
     for p in sorted(record["prints"], key=lambda p: (order.index(p["disturbed"]), p["seed"])):
         kept += p["iou"] >= p["best_stop"] - SHORT
@@ -400,7 +404,7 @@ def _of_disturbed(record: dict[str, Any]) -> str:
         predicted = "–" if p["alarm"] else f"{p['predicted']:.3f}"
         alarm = p["alarm"].partition(":")[0] or "–"
         name = p["disturbed"].replace("-", "−")
-        lines.append(f"| {name} | {p['best_stop']:.3f} | {p['iou']:.3f} | {predicted} | {alarm} |")
+        lines.append(f"| {name} | {p['timer']:.3f} | {p['best_stop']:.3f} | {p['iou']:.3f} | {predicted} | {alarm} |")
     count = len(record["prints"])
     return "\n".join([
         *lines, "",

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from vamgpu.backend.opencl import FULL_SLAB
 from vamgpu.kernels.catalog import kernels
+from vamgpu.kernels.pointwise import opencl
 from vamgpu.kernels.signature import Kernel
 from vamgpu.kernels.spectrum import factors
 
@@ -42,7 +43,9 @@ def assembled(kernel: Kernel, lanes: int, ptxas: str, architecture: str, library
     included += ["-Xclang", "-mlink-builtin-bitcode", "-Xclang", str(library)]
     target = ["-target", "nvptx64--nvidiacl", "-Xclang", "-target-cpu", "-Xclang", "sm_80"]
     target += ["-Xclang", "-target-feature", "-Xclang", "+ptx70", "-x", "cl", "-cl-std=CL1.2", "-cl-mad-enable", "-O3"]
-    compiled = ["clang", *target, *included, *flags, "-S", str(kernel.source), "-o", str(code)]
+    source = folder / "kernel.cl"
+    source.write_text(opencl(kernel))
+    compiled = ["clang", *target, *included, *flags, "-S", str(source), "-o", str(code)]
     limit = [f"-maxrregcount={tiling.registers}"] if tiling.registers else []
     for command in (compiled, [ptxas, f"-arch={architecture}", "-v", *limit, "-c", str(code), "-o", str(folder / "o")]):
         done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -37,7 +37,7 @@ def beams(
     depth_of_focus: float = 3.8,
 ) -> Picture:
     """Eight imperfections of one beam."""
-    n = 60 if quick else 120
+    n = 40 if quick else 120
     figure, axes = style.sheet("abcd;efgh", 5.6)
     facts = [
         *_fan(axes["a"], device, n, throw), *_cone(axes["b"], device, n, throw),

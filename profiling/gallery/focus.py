@@ -153,5 +153,5 @@ def _drive(axis: Axes, powers: np.ndarray, pose: float, lens: TunableLens) -> No
     axis.plot(1e3 * time, settled, color=style.INK, lw=0.8)
     for n in range(poses + 1):
         axis.axvline(1e3 * n * pose, color=style.FAINT, lw=1.2)
-    axis.set(title="Power of the lens over four poses, in turning order; thick where a picture is shown",
+    axis.set(title="Power of the lens over four angles, in turning order; thick while a frame is shown",
              xlabel="time [ms]", ylabel="power [dpt]", xlim=(0, 1e3 * poses * pose))  # fmt: skip

@@ -90,7 +90,7 @@ def _faces(axes: dict[str, Axes], light: np.ndarray, packed: dict[str, Frames], 
     at = round(SHOWN * light.shape[0])
     full = packed["8 bits"].scale
     gray: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255}
-    style.shown(axes["a"], np.minimum(light[at] / full, 1.0), f"Light of the plan, θ = {360 * SHOWN:g}°", cmap="gray",
+    style.shown(axes["a"], np.minimum(light[at] / full, 1.0), f"Patterns, θ = {360 * SHOWN:g}°", cmap="gray",
                 vmin=0, vmax=1)  # fmt: skip
     for letter, name in (("b", "8 bits"), ("c", "1 bit, error diffusion")):
         style.shown(axes[letter], packed[name].gray_levels()[at, ::-1].T, f"Frame of {name}", **gray)
@@ -106,7 +106,7 @@ def _faces(axes: dict[str, Axes], light: np.ndarray, packed: dict[str, Frames], 
     axis.plot(theta[part], light[part, column, middle] / full, color=style.BLUE, label="plan")
     level = packed["8 bits"].levels()[part, row, column]
     axis.plot(theta[part], packed["8 bits"].gray(level), ".", color=style.ORANGE, ms=5, label="8 bits")
-    axis.set(title="One pixel over a quarter turn", xlabel="pose θ [°]", ylabel="light over full-on", ylim=(0, 1.05),
+    axis.set(title="One pixel over a quarter turn", xlabel="angle θ [°]", ylabel="light over full-on", ylim=(0, 1.05),
              xlim=(theta[part][0] - 0.5, theta[part][-1] + 0.5))  # fmt: skip
     axis.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
 

@@ -28,7 +28,7 @@ ALPHA, PAIRING = 0.2138, 0.432
 """k_B/k_A and k₂·[A]₀ [1/s] as fitted to the measured induction times."""
 OUTSIDE = 0.7
 """Greatest effective dose outside the part."""
-LABELS = {"visible": "visible alone", "linear": "linear model's light", "joint": "through the kinetics"}
+LABELS = {"visible": "visible alone", "linear": "linear model", "joint": "through the kinetics"}
 HUES = dict(zip(LABELS, (style.ORANGE, style.QUIET, style.BLUE), strict=True))
 
 
@@ -83,10 +83,10 @@ def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
         "induction; inhibitor that ultraviolet adds counts as visible dose that is still needed. Light arrives in the "
         "order of rotation, each color is attenuated separately (μR = 0.5), C is used up, and B pairs up in between: α "
         f"= {ALPHA:g} and k₂ = {PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
-        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay and relies on ultraviolet light "
-        "without a lasting effect. The kinetics, differentiated exactly through all turns, place ultraviolet light "
-        f"where and when its effect lasts. In {early} of {len(LABELS)} cases, the greatest dose in the part exceeds 1 "
-        "before the last turn. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, excess in red."
+        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay, so its ultraviolet light often "
+        "has no lasting effect. The kinetics, differentiated exactly through all turns, place ultraviolet light where "
+        f"and when its effect lasts. In {early} of {len(LABELS)} cases, the greatest dose in the part exceeds 1 before "
+        "the last turn. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, excess in red."
     )
 
 

@@ -125,7 +125,7 @@ def _timeline(axis: Axes, roll: _Stand) -> None:
         color = style.HUES[int(roll.schedule.plane[first + number])]
         axis.axvspan(1e-6 * (start - begin), 1e-6 * (end - begin), color=color, alpha=0.3, lw=0)
         slot = first + number
-        axis.text(0.5e-6 * (start + end - 2 * begin), 0.82, f"pose {slot // 3}", ha="center", color=color, fontsize=8)
+        axis.text(0.5e-6 * (start + end - 2 * begin), 0.82, f"angle {slot // 3}", ha="center", color=color, fontsize=8)
     axis.set(title="A web through three foci: power of the lens, and light", xlabel="time [ms]", ylabel="power [dpt]",
              ylim=(-0.75, 1.0), xlim=(0, 215))  # fmt: skip
 
@@ -144,7 +144,7 @@ def _errors(axis: Axes, device: Device, angles: int) -> dict[str, float]:
         light = seconds[:, ::-1].transpose(0, 2, 1) / (1e-9 * schedule.on[0])
         dose = A.T(A.device.upload(np.ascontiguousarray(light, np.float32))).numpy()
         found[name] = float(np.abs(dose - wanted).max() / wanted.max())
-    _bars(axis, found, "dose off by, of its greatest", "Dose in the resin of a vial", 1e-4)
+    _bars(axis, found, "dose error, of its greatest", "Dose in the resin of a vial", 1e-4)
     return found
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
-from vamgpu.chemistry.diffusivity import WILKE_CHANG, diffusion_length
 from vamgpu.chemistry.materials import Dispersion, Glass, Inhibitor, Liquid, Resin
+from vamgpu.chemistry.materials.resin import WILKE_CHANG, diffusion_length
 from vamgpu.chemistry.species import PAPER
 from vamgpu.reports import style
 from vamgpu.units import nm

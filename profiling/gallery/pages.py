@@ -102,7 +102,7 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
         }),
         "live-doubted": (DESK, vial | {
             "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 16, "checks": wrong,
-            "live": "images do not decide: images differ from any field by 21.3 times their noise (expected at most "
+            "live": "the images are not used: images differ from any field by 21.3 times their noise (expected at most "
             "15): check open field, noise, orientation and place of the camera; the planned light continues",
         }),
         "paused": (DESK, dark | {"state": "paused"}),

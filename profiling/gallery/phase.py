@@ -61,13 +61,13 @@ def phase(
     if held is not None:
         facts += _held_facts(rates, beta, held.b, held.eigenvalues, device)
     caption = (
-        "Visible light uses up both inhibitors; UV makes the second. Arrows show where a state moves, their color how "
-        "fast; the dashed line shows where [B] is stationary ([A] is stationary only on the left edge). Without UV all "
-        "paths end at the origin, where polymerization begins. With enough of it, β > α/2, there is one stationary "
-        "state away from the origin; both its eigenvalues are real and negative, so it is a stable node. The paper's "
-        "text mentions an oscillating center; there is none at any light level, because [A] never grows. Below: a "
-        "point off the axis of a turning vial over three turns, with and without UV; and the two rates at which "
-        "disturbances decay."
+        "Visible light uses up both inhibitors; UV makes the second. Arrows show the direction in which a state moves, "
+        "and their color its speed; the dashed line shows where [B] is stationary ([A] is stationary only on the left "
+        "edge). Without UV all paths end at the origin, where polymerization begins. With enough of it, β > α/2, there "
+        "is one stationary state away from the origin; both its eigenvalues are real and negative, so it is a stable "
+        "node. The paper's text mentions an oscillating center; there is none at any light level, because [A] never "
+        "grows. Below: a point off the axis of a turning vial over three turns, with and without UV; and the two rates "
+        "at which disturbances decay."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

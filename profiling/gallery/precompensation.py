@@ -62,7 +62,7 @@ def precompensation(
         "Oxygen diffuses into regions that the light has depleted, so thin walls cure late. The blur is the mean of "
         "heat kernels over the exposure. The target dose is deconvolved; a small weight penalizes its distance from "
         f"the plain target, and it never falls below zero. A background of {100 * background:g} % lets it dip beside "
-        "an edge. The table shows the value of that background. This part's edges are smooth over more than a voxel, "
+        "an edge. The table shows the effect of the background. This part's edges are smooth over more than a voxel, "
         "which flatters the numbers: sharp edges and wider blurs leave less to gain. All numbers describe the target "
         "dose, not a print: light cannot be negative and may not reach it. The last number is a Wilke–Chang estimate "
         "that assumes 293 K and 500 g/mol, which the paper does not give."
@@ -106,7 +106,7 @@ def _drawn(part: np.ndarray, plain: np.ndarray, found: Compensated, made_up: np.
     doses = {"vmin": 0.0, "vmax": 1.1}
     style.shown(axes["a"], part[:, :, middle], "Target", **doses)
     drawn = style.shown(axes["b"], plain[:, :, middle], "Diffused, plain", **doses)
-    style.shown(axes["c"], found.dose.numpy()[:, :, middle], "Dose asked for", vmin=0.0, vmax=found.greatest)
+    style.shown(axes["c"], found.dose.numpy()[:, :, middle], "Required dose", vmin=0.0, vmax=found.greatest)
     style.shown(axes["d"], made_up[:, :, middle], "Diffused, compensated", **doses)
     style.bar(drawn, [axes["d"]], "over the background")
     for letter, image in (("b", plain), ("d", made_up)):

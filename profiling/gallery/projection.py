@@ -82,7 +82,7 @@ def projection(
         ("c", got - want, "Projected − formula", {"cmap": style.GAP, "vmin": -0.01, "vmax": 0.01}),
     ):
         drawn = axes[letter].imshow(field.T, origin="lower", extent=extent, aspect="auto", **options)
-        axes[letter].set(title=title, xlabel="pose θ [°]", ylabel="r over the grid's edge", xticks=range(0, 361, 90))
+        axes[letter].set(title=title, xlabel="angle θ [°]", ylabel="r over the grid's edge", xticks=range(0, 361, 90))
         axes[letter].grid(False)
         style.bar(drawn, axes[letter], "length over the grid's edge", extend="both" if letter == "c" else "neither")
     _profiles(axes["d"], found, at)

@@ -89,7 +89,7 @@ def _drawn(target: Target, first: tuple[np.ndarray, ...], kept: dict[int, tuple[
     style.shown(axes["g"], scene.level(after, HEIGHT), "7  Corrected model", **volumes)
     style.shown(axes["h"], scene.level(second, HEIGHT), "8  Second dose", **volumes)
     for letter in "cde":
-        axes[letter].set(xlabel="r →", ylabel="pose θ →", box_aspect=1)
+        axes[letter].set(xlabel="r →", ylabel="angle θ →", box_aspect=1)
     scale_bar(axes["a"], 2.0 / pitch, "2 mm")
     style.bar(drawn, [axes["d"], axes["h"]], "dose and model, 1 is the required dose in the part", shrink=0.7)
     return figure

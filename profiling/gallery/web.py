@@ -74,7 +74,7 @@ def _light(axis: Axes, A: WebProjection, light: np.ndarray) -> None:
     half = 0.5 * A.beam.pixels[0] * A.beam.pitch
     drawn = axis.imshow(light.T, origin="lower", extent=(0, A.motion.poses, -half, half), aspect="auto",
                         cmap=style.LIGHT, vmin=0)  # fmt: skip
-    axis.set(title="Its projection at every angle", xlabel="pose", ylabel="column r [mm]")
+    axis.set(title="Its projection at every angle", xlabel="angle", ylabel="column r [mm]")
     axis.grid(False)
     style.bar(drawn, axis, "absorbed share", fraction=0.03)
 
@@ -112,5 +112,5 @@ def _gap(A: WebProjection, film: np.ndarray, light: np.ndarray) -> float:
     ends = np.zeros((window - 1, film.shape[1]))
     long = np.concatenate([ends, film[..., middle].astype(np.float64), ends])
     unfolded = np.lib.stride_tricks.sliding_window_view(long, window, axis=0)  # [pose, rho, l]
-    wanted = np.tensordot(unfolded, A.light.dense(), axes=((1, 2), (1, 2)))
+    wanted = np.tensordot(unfolded, A.light.moving.dense(), axes=((1, 2), (1, 2)))
     return float(np.abs(light[..., middle] - wanted).max() / wanted.max())

@@ -57,8 +57,9 @@ def markdown(picture: Picture, name: str, device: str = "", values: dict[str, An
 def contents() -> str:
     """The index."""
     opening = (
-        "`python -m profiling.gallery NAME` makes a picture from parameters in a clone, and every number on its page "
-        "was measured in the same run. `python -m profiling.gallery all` regenerates these pages."
+        "In a clone, `python -m profiling.gallery NAME` draws a picture from its parameters and measures every number "
+        "on its page. `python -m profiling.gallery all` regenerates all pages. A film of a minute shows "
+        "[Studio](studio.md); `python -m profiling.gallery.studio` makes it on a job that it solves."
     )
     entries = [f"## [{title}]({FOLDER}/{name}.md)\n\n[![{title}]({FOLDER}/{name}.png)]({FOLDER}/{name}.md)"
                for name, title in CATALOG.items()]  # fmt: skip
