@@ -158,7 +158,7 @@ class _Nominal:
         if scenario.off is None:
             return self._seen(self.dose, 1.0 + amount)
         if not isinstance(self.A, Projection):
-            raise BadInput(f"{type(self.A).__name__} cannot be varied; only a plain Projection can")
+            raise BadInput(f"got {type(self.A).__name__}; expected a Projection, whose light no insert or medium bends")
         dose = scenario.off(self.A, amount).T(self.light)
         self.exposures += 1
         return self._seen(dose if self._more is None else combine(1.0, dose, 1.0, self._more, dose), 1.0)
