@@ -319,19 +319,19 @@ def _paths(rays: Rays, cells: OuterRings) -> tuple[Any, np.ndarray]:
     rows = 2 * ceil(edges[-1] / cells.pitch * STEPS)
     step = 2.0 * edges[-1] / rows
 
-    def crossed(along: float) -> tuple[np.ndarray, np.ndarray]:
-        """Cell in which each ray crosses a row, −1 outside of all, and its path there over the area."""
-        across, cosine, share = rays.cross(along)
-        radius = np.hypot(across, along)
+    def crossed(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cells in which rays cross rows, −1 outside of all, and their paths there over the area; each (rays, rows)."""
+        across, cosine, share = rays.cross(along[:, None])
+        radius = np.hypot(across, along[:, None])
         ring = np.clip((radius - cells.inner) / cells.pitch, 0, cells.rings - 1).astype(int)
-        turn = np.arctan2(across, -along) / FULL_TURN
+        turn = np.arctan2(across, -along[:, None]) / FULL_TURN
         place = first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring]
         inside = (radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0)
-        return np.where(inside, place, -1), share * step / cosine / area[ring]
+        return np.where(inside, place, -1).T, (share * step / cosine / area[ring]).T
 
     def summed(some: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cells, rays and paths in some rows; rows that follow each other in a cell are one."""
-        place, length = (np.stack(each, axis=1).ravel() for each in zip(*map(crossed, some.tolist()), strict=True))
+        place, length = (each.ravel() for each in crossed(some))
         ray = np.repeat(np.arange(rays.u.size), some.size)
         begins = np.flatnonzero(np.diff(place, prepend=-2).astype(bool) | (np.diff(ray, prepend=-1) > 0))
         kept = place[begins] >= 0
