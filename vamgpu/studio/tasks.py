@@ -277,8 +277,9 @@ class Tasks:
         """The progress of a task; that of another run in the same place does not count."""
         place = self._workspace.folder / (task.facts["place"] or task.id)
         progress = self._progress.setdefault(task.id, RunProgress(place))
-        if task.state not in ENDED or not progress.pid:
-            progress.read()
+        with self._lock:  # two readers at once would skip what one of them read
+            if task.state not in ENDED or not progress.pid:
+                progress.read()
         return progress if progress.pid == task.pid else RunProgress(place)
 
     def _changed(self, task: Task) -> None:
