@@ -108,7 +108,8 @@ def compared(name: str, counts: Sequence[int], run: Callable[[int], dict[str, An
             continue
         first = next(each for each in rows.values() if "failed" not in each)
         told = ", ".join(f"{key} {1e3 * row[key]:.1f} ms ({first[key] / row[key]:.2f} x)"
-                         for key in ("forward", "back", "step", "until_first_step", "optimize", "process") if key in row)  # fmt: skip
+                         for key in ("forward", "back", "step", "until_first_step", "optimize", "process")
+                         if key in row)  # fmt: skip
         print(f"{name} on {count}: {told}", flush=True)
     return rows
 
