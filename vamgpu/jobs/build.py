@@ -176,7 +176,7 @@ def projection_of(
     pixels = section.pixels or needed
     if (up := raised(file)) and pixels[1] + 2 * SPARE < needed[1]:
         raise JobError(f"beam.pixels has {pixels[1]} rows; expected {needed[1]}, or none: the part is {abs(up):.3g} mm "
-                       f"{'above' if up > 0.0 else 'below'} the middle, for the resin from which oxygen comes")  # fmt: skip
+                       f"{'above' if up > 0.0 else 'below'} the middle, beside resin with oxygen")  # fmt: skip
     beam = beam_of(section, pixels, folder)
     if file.travel is not None and motion.travel is None:
         motion = motion.along(travel_of(file.travel, motion.angles, beam, folder))
@@ -214,7 +214,7 @@ def with_diffusion(file: JobFile, A: Any, folder: Path = Path()) -> Any:
 
 
 def medium_of(section: MediumSection, folder: Path = Path(), up: float = 0.0) -> SampledMedium:
-    """The arrays of a job's medium, raised with its part. Raises `StorageError`, `BadInput` for arrays that no medium has."""
+    """The arrays of a job's medium, raised with its part. Raises `StorageError`, `BadInput`."""
     given: dict[str, Any] = {name: getattr(section, name) for name in ("index", "absorption")}
     for name, path in given.items():
         if path is not None and path.lower().endswith(".npz"):
