@@ -37,7 +37,7 @@ def proved(jobs: tuple[PrintJob, ...], turns: int | None, speed: float, device: 
     inputs = Folder.open(path).manifest.inputs
     oxygen = inputs.get("geometry", {}).get("oxygen")
     if oxygen and (turns != oxygen["turns"] or abs(speed * oxygen["period"] / 360.0 - 1.0) > CLOSE):
-        shown = counted(turns, "turn") if turns is not None else "turns"
+        shown = counted(turns, "turn") if turns is not None else "no --turns and turns"
         raise BadInput(f"{path!r} follows oxygen through {counted(oxygen['turns'], 'turn')} of {oxygen['period']:g} s, "
                        f"and this print has {shown} of {360.0 / speed:.4g} s; print it with --turns {oxygen['turns']} "
                        f"--speed {360.0 / oxygen['period']:.6g}, or solve it again with the turns and the period of "

@@ -60,8 +60,8 @@ class Oxygen:
 
     def __post_init__(self) -> None:
         check(self)
-        if isinstance(self.air, str) or set(self.air) - set(FACES):
-            raise BadInput(f"Oxygen air is {self.air!r}; expected some of {', '.join(FACES)}")
+        if not isinstance(self.air, tuple | list) or any(face not in FACES for face in self.air):
+            raise BadInput(f'Oxygen air is {self.air!r}; expected some of {", ".join(FACES)}, as in air=("z high",)')
         used = np.asarray(self.used)
         if used.dtype.kind not in "iuf" or used.ndim not in (0, 1, 3):
             raise BadInput(f"Oxygen used is {used.dtype} {used.shape}; expected a number, [z] or [x, y, z]")

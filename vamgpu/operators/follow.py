@@ -58,9 +58,9 @@ def followed(motion: Turntable, beam: Beam) -> Followed | None:
     pixels = np.array(beam.pixels)
     far = np.abs(away).max(axis=(0, 1))
     if (far >= np.where(pixels > 1, pixels, 1e-9))[: 1 if travel.rows else 2].any():
-        raise BadInput(f"the part travels by up to {far[0] * beam.pitch:.4g} mm across the light and "
-                       f"{far[1] * beam.pitch:.4g} mm along z, beyond the beam of {beam.pixels} pixels of "
-                       f"{beam.pitch:g} mm; expected less: check the unit, mm, and the law")  # fmt: skip
+        (x, z), (wide, high) = far * beam.pitch, pixels * beam.pitch
+        raise BadInput(f"the part travels by up to {x:.4g} mm across the light and {z:.4g} mm along z; expected less "
+                       f"than the beam lights, {wide:.4g} and {high:.4g} mm: check the unit and the law")  # fmt: skip
     turned = float(np.hypot(travel.x, travel.y).max() * motion.arcs.max()) / beam.pitch
     if turned > MOVED:
         raise BadInput(f"the part is so far aside that it moves by {turned:.3g} pixels while a frame is lit; expected "

@@ -59,7 +59,7 @@ class Projection(VoxelProjector):
         self.vessel: Vessel | None = vessel
         if motion.travel is not None and motion.travel.aside and vessel is not None:
             raise BadInput(f"got a part that moves sideways in {vessel!r}, where light differs from place to place; "
-                           "expected straight light (no vessel), or Oblique with a Wobble")  # fmt: skip
+                           "expected straight light (no vessel), or [wobble]: Oblique with a Wobble")  # fmt: skip
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         self._light = self._lit()
         self._turn(motion)

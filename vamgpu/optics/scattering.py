@@ -41,11 +41,10 @@ class Scattering:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.anisotropy != "rayleigh":
-            g = finite("Scattering anisotropy", self.anisotropy)
-            if abs(g) > SHARPEST:
-                raise BadInput(f"Scattering anisotropy is {g:g}; expected −{SHARPEST} to {SHARPEST}, or 'rayleigh': it "
-                               "is the mean cosine of the scattering angle")  # fmt: skip
+        g = 0.0 if self.anisotropy == "rayleigh" else self.anisotropy
+        if isinstance(g, str) or abs(finite("Scattering anisotropy", g)) > SHARPEST:
+            raise BadInput(f"Scattering anisotropy is {g!r}; expected −{SHARPEST} to {SHARPEST}, a number without "
+                           "quotes, or 'rayleigh': it is the mean cosine of the angle")  # fmt: skip
         if self.phase is not None:
             object.__setattr__(self, "phase", _rising(self.phase))
 

@@ -52,7 +52,7 @@ class Target:
         fraction: Filled share of each voxel, 0..1, [x, y, z]: on a device, or a NumPy array.
         radius: Largest distance from the axis [mm].
         volume: Filled volume [mm³].
-        height: Extent along z [mm].
+        height: Extent along z [mm]; twice the reach of a part that is not in the middle.
         solid: The surface that was voxelized, as placed for the print; None for a target from an array.
         limits: Limits of single voxels, from a `Scene`; None if all of the part must simply print.
     """
