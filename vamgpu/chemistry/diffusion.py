@@ -152,13 +152,10 @@ Ends = tuple[bool, bool]
 
 
 class Heat:
-    """A field after diffusion in a box, exact in time for the voxels' differences: one pass each along y, x and z.
+    """A field after diffusion in a box, exact in time for the voxels' differences: one pass each along y, x and z."""
 
-    No flux passes faces that are not fixed, nor the wall, whose voxels do not change. Beside a wall, passes along x and
-    y do not commute: they alternate in steps of D·time / pitch² ≤ `STEP`, half along y before and half after x.
-    """
-
-    # variance: D·time [mm²], half the variance of the kernel. fixed: names of faces with a value of 0.
+    # variance: D·time [mm²], half the variance of the kernel. fixed: names of faces with a value of 0. No flux passes
+    # others, nor the wall, beside which passes along x and y do not commute: they alternate in steps of `STEP` at most.
 
     def __init__(
         self, grid: Grid, variance: float, device: Device, fixed: Sequence[str] = (), wall: float = inf

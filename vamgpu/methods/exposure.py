@@ -20,12 +20,7 @@ if TYPE_CHECKING:
 
 
 class DoseObjective:
-    """The loss of the dose Aᵀg of light g, plus penalty·Σ g^power.
-
-    A step evaluates ``ahead``, which momentum extrapolates beyond the current light. Doses are linear; the dose of the
-    light itself, by which the best light is selected, therefore follows from that of ``ahead`` without a projection.
-    Half an evaluation for a value, half for a gradient.
-    """
+    """The loss of the dose Aᵀg of light g, plus penalty·Σ g^power; a value or a gradient takes half an evaluation."""
 
     def __init__(
         self, state: OptimizerState, loss: Loss, rule: StepRule, *, penalty: tuple[float, float] = (0.0, 1.0),

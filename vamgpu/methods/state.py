@@ -160,12 +160,7 @@ class OptimizerState:
         return self.best.offer(self.buffer("light"), loss, window, self.iteration + made)
 
     def window(self, dose: DeviceArray) -> tuple[float, float]:
-        """Strict process window of a dose, and the greatest dose.
-
-        If the part leaves no void, nothing can leak, and the window is the least dose over the greatest. A dose that is
-        dark everywhere, or not finite, prints nothing: its window is −1, the lowest value. The window of a partial
-        problem is no wider than its levels.
-        """
+        """Strict window of a dose, −1 if dark or not finite, and the greatest dose; without a void nothing leaks."""
         least, leak, greatest = self.extremes(dose)
         if not (isfinite(least) and leak < inf and 0.0 < greatest < inf):
             return -1.0, max(greatest, 1e-30) if isfinite(greatest) else 1.0
