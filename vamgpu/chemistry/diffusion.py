@@ -23,7 +23,7 @@ from vamgpu.kernels.update import linear
 from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.row_resampler import banded
-from vamgpu.operators.space import VolumeSpace, WebSpace
+from vamgpu.operators.space import VolumeSpace
 from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Diffusivity, ExposureTime, Quantity, Thickness
@@ -96,7 +96,7 @@ class Spread(LinearOperator):
     """
 
     def __init__(self, grid: Grid | WebGrid, diffusion: Diffusion, device: str | Device | None = None) -> None:
-        space = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)
+        space = VolumeSpace(grid)
         self._set_spaces(space, space, open_device(device))
         self.grid: Grid | WebGrid = grid
         self.diffusion: Diffusion = diffusion

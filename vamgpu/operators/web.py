@@ -15,7 +15,7 @@ from vamgpu.kernels.unfold import mix_poses
 from vamgpu.operators.bands import Bands
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import WebSinogramSpace, WebSpace, require_kinds
+from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 
@@ -50,8 +50,8 @@ class WebProjection(LinearOperator):
         DeviceError: There is no such device.
     """
 
-    domain: WebSpace
-    range: WebSinogramSpace
+    domain: VolumeSpace
+    range: SinogramSpace
     grid: WebGrid
     beam: Beam
     light: Propagation
@@ -126,8 +126,8 @@ class WebProjection(LinearOperator):
         self.motion = WebMotion.past(grid.shape[0], light.shape[2], step, poses, start)
         self.motion.check_lit(light, grid.shape[0], whole_web=poses is None and start is None)
         self.first = self.motion.start
-        self.domain = WebSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = WebSinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.device: Device = open_device(device)
         self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         self._between = None if self.motion.whole else _Between(self.motion, light.way, self.device)
