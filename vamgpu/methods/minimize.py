@@ -208,7 +208,7 @@ def _line(objective: Objective, state: OptimizerState, pairs: Pairs, direction: 
     for _ in range(TRIES):
         if not state.affords(1.0):
             break
-        state.combine(1.0, pairs.step, share, direction, light, floor=0.0)
+        combine(1.0, pairs.step, share, direction, light, floor=0.0)
         if state.most < inf:
             capped(light, state.most)
         if state.lit is not None:

@@ -141,7 +141,7 @@ class OptimizerState:
         """out = Aᵀ light, the dose; half an evaluation. In a partial problem, the dose of other light is added."""
         self._count(lambda: self.operator.T(light, out=out) if beside is None else beside.expose(light, out))
         if self.partial is not None:
-            self.combine(1.0, out, 1.0, self.partial.rest, out)
+            combine(1.0, out, 1.0, self.partial.rest, out)
 
     def _count(self, half: Callable[[], Any]) -> None:
         """Count half an evaluation; for several scenarios, the number that their operator really made."""
@@ -189,15 +189,9 @@ class OptimizerState:
         loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
-    def combine(
-        self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
-    ) -> None:
-        """out = max(floor, a·x + b·y); out may be x or y."""
-        combine(a, x, b, y, out, floor)
-
     def scale(self, factor: float, x: DeviceArray, out: DeviceArray) -> None:
         """out = factor·x."""
-        self.combine(factor, x, 0.0, x, out)
+        combine(factor, x, 0.0, x, out)
 
     def fill_background(self, background: float, out: DeviceArray) -> None:
         """out = the target over a background that fills the cylinder."""

@@ -99,7 +99,7 @@ class ADMM:
             scaled_dual=self.light_dual, pull=self.way,
         )  # fmt: skip
         self.inverse(self.way, self.way)
-        state.combine(1.0, self.light, self.inverse.pace, self.way, self.light)
+        combine(1.0, self.light, self.inverse.pace, self.way, self.light)
         state.expose(self.light, self.dose)
 
     def _point(self) -> dict[str, Any]:
