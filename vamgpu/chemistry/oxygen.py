@@ -83,15 +83,10 @@ class Oxygen:
 
 
 class OxygenFields(NamedTuple):
-    """The state of every voxel.
+    """The state of every voxel, relative to the oxygen of air-saturated resin, or to the dose that uses it all up."""
 
-    Args:
-        used: Share of the oxygen of air-saturated resin that is missing, [x, y, z].
-        cured: X, the dose that found no oxygen, relative to the dose that uses up all of it, [x, y, z].
-    """
-
-    used: DeviceArray
-    cured: DeviceArray
+    used: DeviceArray  # oxygen that is missing, [x, y, z]
+    cured: DeviceArray  # X, the dose that found no oxygen, [x, y, z]
 
     @property
     def effective_dose(self) -> DeviceArray:

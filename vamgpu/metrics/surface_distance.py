@@ -1,7 +1,5 @@
-"""Distances of the surface of a print from its target, > 0 where the print is too thick.
-
-Sources: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table 1; A. Orth et al.,
-Automatic exposure volumetric additive manufacturing, Fig. 4.
+"""Distances of the surface of a print from its target, > 0 where the print is too thick: J. Toombs et al., Roll-to-roll
+tomographic …, Table 1; A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 4.
 """
 
 from __future__ import annotations

@@ -29,10 +29,7 @@ class Followed:
     repeats: int
 
     def in_steps(self, across: int, along: int) -> list[tuple[tuple[int, int], np.ndarray]]:
-        """What is left, in so many steps of a pixel: each step, and the shares (angles, rows) of the light moved by it.
-
-        Light between steps is interpolated by cubic polynomials.
-        """
+        """What is left in steps of a pixel, by cubic polynomials: each step, and shares (angles, rows) moved by it."""
         low = np.floor(self.left * (across, along))
         at, shares = self.left * (across, along) - low, self.lit / self.repeats
         a, b, c = at + 1.0, at - 1.0, at - 2.0  # from the samples at −1, 1 and 2; Lagrange's weights follow

@@ -103,11 +103,7 @@ class PhotonCount:
         return np.bincount(self.lags, np.where(np.arange(self.lags.size), 2.0, 1.0))
 
     def light(self, device: Device, seed: int, basis: np.ndarray, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Scattered light in cells for an irradiance of 1 in one slice, by half of the photons.
-
-        basis: (bins, terms); every: step of the columns.  Returns the sum over all slices (columns, cells) of the
-        fluence rate, and its sums over bins with each term of the basis (columns, cells, terms).
-        """
+        """Fluence rates in cells of light of 1 in a slice: (columns, cells), and by terms (columns, cells, terms)."""
         rays, rings, bins = self._rays[::every], self.rings, self.slices_of_bins.size
         cells, columns = int(rings[-1].sum()), len(rays)
         launches = ceil(columns / max(TALLY // (8 * cells * bins), 1))

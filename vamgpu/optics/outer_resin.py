@@ -31,7 +31,7 @@ from vamgpu.operators.polar import PolarGrid, WritesPose, writes_stored
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
-from vamgpu.operators.space import PolarSpace, SinogramSpace
+from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, traced_rays
@@ -138,7 +138,7 @@ class OuterResin(LinearOperator):
     # A[i, j] is the mean over cell j of the light of pixel i, × the volume of a voxel / the area of a pixel. Angles
     # that are not evenly spaced are divided among the even angles next to them; arcs count by their mean.
 
-    domain: PolarSpace
+    domain: VolumeSpace
 
     def __init__(self, A: Projection | RingProjection, cells: OuterRings) -> None:
         self.grid: Grid = A.grid
@@ -148,7 +148,7 @@ class OuterResin(LinearOperator):
         self.device: Device = A.device
         self._made = OuterResin, (A, cells)
         self.cells: OuterRings = cells
-        self.domain = PolarSpace(cells)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.domain = VolumeSpace(cells)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range: SinogramSpace = A.range  # pyright: ignore[reportIncompatibleVariableOverride]
         tiles = _tiles(A, cells)
         rest = Turntable(cells.angles, lit_share=0.0)  # tiles know how far each frame turns

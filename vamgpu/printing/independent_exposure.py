@@ -1,10 +1,5 @@
-"""Exposure of frames that is independent of the solver's operator: other rays, other tables, another grid.
-
-Its voxels are fine enough to resolve the light of a column: at most half as wide as the part's, one centered on the
-axis, and reaching out to the inner wall. Their light comes from traced rays, several of which may meet at one point
-where caustics fold them. It turns over the arc of its frame while the frame is lit. Resin above and below the grid is
-exposed on the part's voxels, as far as light reaches. Only the geometry of the solver's operator is used. Frames that
-follow a part, or miss it, are exposed where they fall, in steps of half a pixel between which it is interpolated.
+"""Exposure of frames that is independent of the solver's operator, of which only the geometry is used: traced rays,
+which may meet at caustics, turn over the arc of a lit frame, on voxels at most half as wide as the part's.
 """
 
 from __future__ import annotations

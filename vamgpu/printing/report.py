@@ -164,15 +164,11 @@ def _drawn(
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
     expected = surface.iso_surface(target, 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
-    outer = surface.NOTHING
-    if proof.outer is not None and proof.outer_share >= 1.0:
-        slabs, radius = proof.fine() if proof.independent else (), proof.operator.grid.inscribed_radius
-        outer = surface.stray(slabs, proof.solid_from, radius, proof.outer.place, 2.0 * proof.outer.width)
     sheet = pictures.sheet(dose, asked, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
     slices = pictures.viewer(sheet, heights, int(np.argmax(proof.slices.in_voxels[sheet["slices"]])))
-    return surface.viewer(expected, printed, pitch, outer) | slices, pitch
+    return surface.viewer(expected, printed, pitch, surface.stray(proof)) | slices, pitch
 
 
 def _tiles(proof: Proof) -> list[Figure]:

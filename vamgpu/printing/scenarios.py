@@ -42,7 +42,24 @@ def softer(A: Projection, pixels: float) -> Projection:
 
 def displaced(A: Projection, pixels: float) -> Projection:
     """The axis of rotation, moved off the middle of the columns by a number of pixels towards +r. Raises `BadInput`."""
-    return _varied(A, A.beam, _displaced(A.vessel, pixels * A.beam.pitch))
+    return clouded_and_displaced(A, 0.0, pixels)
+
+
+def clouded(A: Projection, share: float) -> Projection:
+    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` if the resin absorbs nothing."""
+    return clouded_and_displaced(A, share, 0.0)
+
+
+def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Projection:
+    """`clouded` and `displaced` with tables computed once; A itself for amounts of 0. Raises `BadInput` as they do."""
+    vessel: Any = A.vessel
+    if share:
+        if vessel is None or vessel.absorption == 0:
+            raise BadInput("the light passes without absorption")
+        vessel = with_absorption(vessel, (1.0 + share) * vessel.absorption)
+    if pixels:
+        vessel = _displaced(vessel, pixels * A.beam.pitch)
+    return A if vessel is A.vessel else _varied(A, A.beam, vessel)
 
 
 def _displaced(vessel: Any, offset: float) -> Misaligned:
@@ -52,24 +69,6 @@ def _displaced(vessel: Any, offset: float) -> Misaligned:
         return Misaligned(vessel, offset)
     except BadInput as error:
         raise BadInput(f"a {type(vessel).__name__} that is not centered on the axis differs at every angle") from error
-
-
-def clouded(A: Projection, share: float) -> Projection:
-    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` if the resin absorbs nothing."""
-    return _varied(A, A.beam, _clouded(A.vessel, share))
-
-
-def _clouded(vessel: Any, share: float) -> Any:
-    if vessel is None or vessel.absorption == 0:
-        raise BadInput("the light passes without absorption")
-    return with_absorption(vessel, (1.0 + share) * vessel.absorption)
-
-
-def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Projection:
-    """`clouded` and `displaced` with tables computed once; A itself for amounts of 0. Raises `BadInput` as they do."""
-    vessel = _clouded(A.vessel, share) if share else A.vessel
-    vessel = _displaced(vessel, pixels * A.beam.pitch) if pixels else vessel
-    return A if vessel is A.vessel else _varied(A, A.beam, vessel)
 
 
 def _varied(A: Projection, beam: Beam, vessel: Any) -> Projection:

@@ -1,8 +1,6 @@
 """Sensitivity to errors: the same frames on a machine with an error, which grows until the first voxel is wrong.
 
-Each scenario is one exposure with the solver's type of operator and one property changed: half a projector evaluation.
-Its change in dose is added to the proved dose, voxel by voxel. The exposure time does not change: the threshold of the
-proof decides which voxels are wrong.
+The change in dose of the solver's type of operator is added to the proved dose, at the same threshold.
 """
 
 from __future__ import annotations
