@@ -59,10 +59,7 @@ def follow(planner: PlannerClient) -> None:
 
 
 class Following:
-    """One monitored print, from its start or from where an earlier host left it.
-
-    The planner's settings are a `LiveSetup`, and the camera's view if its pixels are not the beam's.
-    """
+    """One monitored print, from its start or from where an earlier host left it."""
 
     def __init__(self, planner: PlannerClient) -> None:
         self._planner, task = planner, planner.task

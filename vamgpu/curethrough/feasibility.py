@@ -61,11 +61,7 @@ def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
 
 
 def least_void(printer: Printer, open_dose: float | None = None) -> float:
-    """Length in whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1.
-
-    open_dose: by default the printer's own. Light changes only at slice borders; fall and rise therefore take whole
-    slices each. A void of one slice between features never opens. Infinite if no void opens.
-    """
+    """Slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1, inf if none."""
     needed = printer.opened if open_dose is None else open_dose
     if needed >= 1.0:
         return 1.0

@@ -159,10 +159,7 @@ class WorkingCurve:
 
 
 class _Line:
-    """The line z = c + h·log10 x of greatest likelihood through heights that scatter alike, if z > 0.
-
-    With several wavelengths it is the curve z = h·g(log10 x + c / h), where g is `LampSpectrum.depth`.
-    """
+    """The likeliest line z = c + h·log10 x of heights above 0 that scatter alike; a curve by `LampSpectrum.depth`."""
 
     def __init__(self, x: np.ndarray, z: np.ndarray, cured: np.ndarray, lamp: LampSpectrum | None) -> None:
         from scipy.optimize import minimize

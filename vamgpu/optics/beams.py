@@ -109,19 +109,6 @@ class Misaligned(Wrapper):
         )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """The ray through each point. The weight counts columns in the plane: 1 / (magnification · cos of the ray's
-        slope).
-
-        Args:
-            across: Position X across the light [mm], (...,).
-            along: Position Y along the light [mm], (...,), broadcast with ``across``.
-
-        Returns:
-            Columns u [mm], (...,), and weights, (...,), as for `Vessel`.
-
-        Raises:
-            BadInput: A point is behind the pupil of the projector.
-        """
         x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         farthest = float(np.hypot(x, y).max(initial=0.0))
         if farthest >= self.distance:

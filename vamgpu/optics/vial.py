@@ -137,22 +137,6 @@ class Vial(Container):
         )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """The ray through each point: the inverse of the ray map.
-
-        The density is the number of columns per mm across the chord, 1 / |p'(u) − t·d'(u)| at the signed length t along
-        it: converging rays grow denser downstream. Inside the printable radius, one ray passes through each point.
-        Outside it, two or three may meet; the one with the smallest |u| is returned, on the point's side of the axis.
-
-        Args:
-            across: Position X across the light [mm], (...,).
-            along: Position Y along the light [mm], (...,), broadcast with ``across``.
-
-        Returns:
-            Columns u [mm], (...,), and weights [1/mm], (...,), as for `Vessel`, both finite everywhere.
-
-        Raises:
-            BadInput: A coordinate is not finite.
-        """
         columns, inside, x, y, spacing = self._columns(across, along)
         weight = np.zeros(inside.shape)
         (weight[inside],) = pointwise(self._weights, columns[inside], x, y, spacing)

@@ -79,10 +79,7 @@ class Remembered:
 
 
 class Workspace:
-    """One folder; all names in requests are resolved here. given: the folder, or what the page opens in it.
-
-    Raises `BadInput`, and `StorageError` if the folder cannot be used, or another Studio serves it.
-    """
+    """One folder, or what the page opens in it; resolves all names in requests. Raises `BadInput`, `StorageError`."""
 
     def __init__(self, given: Path) -> None:
         inside = given.suffix.lower() in (JOB, RESULT, *FORMATS)

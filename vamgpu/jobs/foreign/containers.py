@@ -29,10 +29,7 @@ Body = tuple[dict[str, Any], Solid]
 
 @dataclass(frozen=True)
 class Container:
-    """Tables of a job for a vial, bodies that stand in its resin, and notes on what is left out.
-
-    across, voxel: number of voxels along x and y, and their edge [mm], for a container that is not round.
-    """
+    """Tables of a job for a vial, bodies that stand in its resin, and notes on what is left out."""
 
     tables: dict[str, Any]
     bodies: tuple[Body, ...] = ()
