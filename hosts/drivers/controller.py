@@ -19,8 +19,7 @@ from vamgpu.hosts.schedules.timing import exact, fraction
 log: logging.Logger = logging.getLogger(__name__)
 TRIES = 3
 CLOSE = Fraction(1, 10**9)  # allowed relative error of a ratio: one microstep in 10^9
-LONGEST_BABBLE = 100
-"""Largest number of lines read for one answer, because a machine may never stop sending."""
+LONGEST_BABBLE = 100  # largest number of lines read for one answer, because a machine may never stop sending
 REASONS = {
     "lease": "its lease has run out: renew it before arming",
     "interlock": "its interlock is open: close the enclosure",

@@ -28,8 +28,7 @@ from vamgpu.printing.placement import FIT
 from vamgpu.storage.folder import Folder
 
 PLACE = "live"  # folder of the record in the run's folder
-SEEN = 0.6
-"""Share of a turn whose images are used, more than half of it; the rest is for planning and upload."""
+SEEN = 0.6  # share of a turn whose images are used, more than half of it; the rest is for planning and upload
 
 
 def light_of(frames: Frames, planned: int, dose: float = 1.0) -> np.ndarray:

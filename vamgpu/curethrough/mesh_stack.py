@@ -13,8 +13,7 @@ from vamgpu.geometry import Grid, counts, positive
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.voxelize import voxelize
 
-MARGIN = 2
-"""Default margin of empty pixels on every side."""
+MARGIN = 2  # default margin of empty pixels on every side
 SLACK = 1e-6
 
 

@@ -25,10 +25,8 @@ from vamgpu.storage.manifest import plain
 from vamgpu.storage.reading import open_file, parse_json, read_text
 from vamgpu.storage.zips import open_zip, unpacked
 
-RECORD = "curethrough.json"
-"""File in a folder or a zip of slices that records their settings."""
-WAITING = 64
-"""Greatest number of slices that wait to be written; more would fill the memory if the disk is slow."""
+RECORD = "curethrough.json"  # file in a folder or a zip of slices that records their settings
+WAITING = 64  # greatest number of slices that wait to be written; more would fill the memory if the disk is slow
 
 
 class Writer:

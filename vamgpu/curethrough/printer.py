@@ -97,8 +97,7 @@ class Machine(ABC):
     critical_dose: Dose
     slice_height: Length
 
-    layered: ClassVar[bool]
-    """Whether the platform stops while a slice is shown."""
+    layered: ClassVar[bool]  # whether the platform stops while a slice is shown
 
     def _check(self, light: tuple[float, ...]) -> None:
         check(self)

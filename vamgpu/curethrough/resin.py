@@ -17,10 +17,8 @@ from vamgpu.storage.tables import read_table
 
 LN10 = float(np.log(10.0))
 TOP = 255
-LOST = 4.0
-"""A plug should have gelled if its expected height is more than this number of standard deviations."""
-BENT = 0.01
-"""Level of significance: if scatter is less likely to bend the heights so, they do not follow the law."""
+LOST = 4.0  # a plug should have gelled if its expected height is more than this number of standard deviations
+BENT = 0.01  # level of significance: if scatter is less likely to bend the heights so, they do not follow the law
 
 
 @dataclass(frozen=True)

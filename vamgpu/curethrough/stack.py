@@ -30,21 +30,15 @@ from vamgpu.storage.zips import open_zip, unpacked
 ARCHIVES = (".zip", ".sl1", ".sl1s")
 PACKED: dict[str, Any] = {".goo": Goo, ".ctb": Ctb, ".cbddlp": Ctb, ".photon": Ctb}
 """Endings of files that hold layers and settings of a printer in a format of their own."""
-AHEAD = 32
-"""Number of slices that are decoded ahead while others are processed."""
-MOST_BYTES = 1 << 28
-"""Upper limit of the size of a slice's file."""
+AHEAD = 32  # number of slices that are decoded ahead while others are processed
+MOST_BYTES = 1 << 28  # upper limit of the size of a slice's file
 MOST_PACKED = 1_000_000_000
-PREVIEW = re.compile(r"(^|/)((preview|thumb)|3d\.png$)", re.IGNORECASE)
-"""Pictures that slicers put beside the slices."""
+PREVIEW = re.compile(r"(^|/)((preview|thumb)|3d\.png$)", re.IGNORECASE)  # pictures that slicers put beside the slices
 HEIGHTS = {"config.ini": r"^layerHeight\s*=\s*([0-9.eE+-]+)\s*$", "run.gcode": r"^;\s*layerHeight\s*:\s*([0-9.eE+-]+)"}
 """Files of a zip that state the layer height, and how."""
-MOST_NAME = 1000
-"""Greatest number of characters of a name in a zip."""
-BLOCKS_HELD = 6
-"""Blocks of slices in memory at a time: two being read, two being written to the disk, and the device's."""
-PIXEL_HELD = 40
-"""Bytes per pixel that the state of a print needs in addition."""
+MOST_NAME = 1000  # greatest number of characters of a name in a zip
+BLOCKS_HELD = 6  # blocks of slices in memory at a time: two being read, two being written to the disk, and the device's
+PIXEL_HELD = 40  # bytes per pixel that the state of a print needs in addition
 
 
 class FileStack(ABC):

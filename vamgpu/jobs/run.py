@@ -71,16 +71,11 @@ from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Folder, check_place, digest
 from vamgpu.targets.target import Target
 
-CHECKPOINT = 300.0
-"""Interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker."""
-RARELY = 10.0
-"""Shortest interval between saved plans, relative to the time that the run takes to start."""
-TRIES = 100
-"""Number of times that a run continues after workers were lost."""
-BLOCK = 1 << 26
-"""Bytes of a target that are hashed at a time."""
-StageProgress = Callable[[str, float], None]
-"""Receives progress: the stage, and the share of it that is done, 0..1."""
+CHECKPOINT = 300.0  # interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker
+RARELY = 10.0  # shortest interval between saved plans, relative to the time that the run takes to start
+TRIES = 100  # number of times that a run continues after workers were lost
+BLOCK = 1 << 26  # bytes of a target that are hashed at a time
+StageProgress = Callable[[str, float], None]  # receives progress: the stage, and the share of it that is done, 0..1
 
 
 @dataclass(frozen=True, eq=False)

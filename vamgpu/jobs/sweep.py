@@ -16,8 +16,7 @@ from vamgpu.jobs.run import is_interrupted, prove, solve
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.folder import Folder
 
-MOST = 100_000
-"""Largest number of points of a sweep; more are a mistake."""
+MOST = 100_000  # largest number of points of a sweep; more are a mistake
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,7 @@ from vamgpu.webs.segment import Segment
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.stream import Stream
 
-RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
-"""Index ratios of the paper's Fig. S9."""
+RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)  # index ratios of the paper's Fig. S9
 
 
 class WebTarget(Section):

@@ -18,8 +18,7 @@ from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Count, Index, Length, LensPower, Place, Thickness, Time
 
-DIOPTER = 1e-3
-"""One diopter [1/mm]."""
+DIOPTER = 1e-3  # one diopter [1/mm]
 
 
 @dataclass(frozen=True)

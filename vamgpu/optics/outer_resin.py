@@ -37,12 +37,9 @@ from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, traced_rays
 from vamgpu.schema.quantities import Thickness
 
-WIDTH = 2.0
-"""Width of a cell beside the part [voxels]."""
-MOST_ANGLES = 1440
-"""Greatest number of evenly spaced angles per turn between which measured angles are placed."""
-TOGETHER = 64
-"""Rows whose crossings a thread finds at once."""
+WIDTH = 2.0  # width of a cell beside the part [voxels]
+MOST_ANGLES = 1440  # greatest number of evenly spaced angles per turn between which measured angles are placed
+TOGETHER = 64  # rows whose crossings a thread finds at once
 RAYS, STEPS = 6, 8
 """Rays traced per column, or, if that is more, `STEPS` per ring width; and positions on each ray across one ring."""
 

@@ -20,8 +20,7 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.optics.vat import Vat
 from vamgpu.schema.quantities import Length, Place, Turn, finite
 
-STEEPEST = np.radians(80.0)
-"""Elevation beyond which rays hardly cross the resin."""
+STEEPEST = np.radians(80.0)  # elevation beyond which rays hardly cross the resin
 
 
 @dataclass(frozen=True, init=False)

@@ -20,8 +20,7 @@ from vamgpu.optics.wrap_map import WrapMap
 
 Reals = NDArray[np.floating]
 
-MOST_CROSSINGS = 1 << 16
-"""Crossings, and voxels, processed at a time: as many as fit a processor's cache."""
+MOST_CROSSINGS = 1 << 16  # crossings, and voxels, processed at a time: as many as fit a processor's cache
 SMALLEST_IMPACT = 1e-12
 """Distance that keeps the angle of a ray through the axis defined [mm]; far below rounding errors."""
 

@@ -17,12 +17,10 @@ from vamgpu.optics.index_field import FAR, IndexField
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.march import Marcher
 
-PATHS = 1 << 26
-"""Bytes of the paths of the rays that are marched at a time."""
+PATHS = 1 << 26  # bytes of the paths of the rays that are marched at a time
 DETOUR = 1.2
 """Steps marched at a time, relative to those of the longest straight path; rays that bend more continue from there."""
-INNER, OUTER, MIDDLE, FINISH, NONE = range(5)
-"""The faces, numbered as in `roller_rays`."""
+INNER, OUTER, MIDDLE, FINISH, NONE = range(5)  # the faces, numbered as in `roller_rays`
 
 
 class FilmMarcher:

@@ -19,11 +19,9 @@ from vamgpu.optics.interface import fresnel, left
 from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_march import FINISH, INNER, MIDDLE, NONE, OUTER, FilmMarcher
 
-MOST_FACES = 2000
-"""Number of faces after which a ray counts as one that never leaves."""
+MOST_FACES = 2000  # number of faces after which a ray counts as one that never leaves
 
-MOST_CHORDS = 1000
-"""Number of chords of a clear roller along its back after which a ray counts as lost in it."""
+MOST_CHORDS = 1000  # number of chords of a clear roller along its back after which a ray counts as lost in it
 
 
 class End(IntEnum):

@@ -22,8 +22,7 @@ from vamgpu.schema.quantities import Absorption, Index, Thickness, VesselRadius
 
 # On the caustics outside the printable radius the density is unbounded; it is limited to this value there.
 LARGEST_DENSITY = 100.0
-PICTURE = 110
-"""Pixels along the side of the picture of a vial."""
+PICTURE = 110  # pixels along the side of the picture of a vial
 
 
 @dataclass(frozen=True)

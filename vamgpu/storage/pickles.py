@@ -20,8 +20,7 @@ from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 16_000_000_000
-MOST_STEPS = 5_000_000
-"""Limit of a pickle's instructions; one of arrays has some hundreds."""
+MOST_STEPS = 5_000_000  # limit of a pickle's instructions; one of arrays has some hundreds
 NUMBERS = "biufc"
 ROOTS = ("numpy.core.multiarray", "numpy._core.multiarray")
 NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")

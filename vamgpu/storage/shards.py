@@ -20,10 +20,8 @@ LEVEL = -1
 """Level of Zstandard. Below 1, literals are not entropy-coded: grainy frames take 7 % more space than at level 3, but
 are packed six times and unpacked three times as fast, and disks are faster than that."""
 ZSTANDARD = b"\x28\xb5\x2f\xfd"
-HEAD = 18
-"""Bytes of a Zstandard frame that always contain its header."""
-ABSENT = np.uint64(2**64 - 1)
-"""The index value of a missing entry."""
+HEAD = 18  # bytes of a Zstandard frame that always contain its header
+ABSENT = np.uint64(2**64 - 1)  # the index value of a missing entry
 
 
 def write_files(

@@ -19,12 +19,9 @@ from vamgpu.targets.target import Target
 
 Plane = npt.NDArray[np.float64]
 
-DIAMETER = 30.0
-"""Diameter of the paper's curing volume [mm]."""
-PIXELS = 1500
-"""Pixels across the paper's designs."""
-_ASPECT = 5.0
-"""Ratio of length to width of a bar of a resolution target; three bars and two spaces make a square."""
+DIAMETER = 30.0  # diameter of the paper's curing volume [mm]
+PIXELS = 1500  # pixels across the paper's designs
+_ASPECT = 5.0  # ratio of length to width of a bar of a resolution target; three bars and two spaces make a square
 
 
 def covered(n: int, pitch: float, low: npt.ArrayLike, high: npt.ArrayLike) -> Plane:

@@ -21,8 +21,7 @@ from vamgpu.schema.quantities import Density, Length, Speed, Viscosity
 from vamgpu.units import kg_m3
 from vamgpu.webs.display import Display
 
-GRAVITY = 9806.65
-"""Standard acceleration of free fall [mm/s²]."""
+GRAVITY = 9806.65  # standard acceleration of free fall [mm/s²]
 
 
 @dataclass(frozen=True)

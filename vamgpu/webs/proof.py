@@ -26,12 +26,9 @@ from vamgpu.webs.section import lit_by
 from vamgpu.webs.store import WebFolder
 
 BINS = 2048
-REACH = 4.0
-"""Greatest counted dose, in units of the part's dose; greater ones count as this."""
-CHUNK = 1 << 20
-"""Number of voxels that a thread counts at a time."""
-LEVEL = 128
-"""Least fraction, times 255, of a voxel that belongs to the part."""
+REACH = 4.0  # greatest counted dose, in units of the part's dose; greater ones count as this
+CHUNK = 1 << 20  # number of voxels that a thread counts at a time
+LEVEL = 128  # least fraction, times 255, of a voxel that belongs to the part
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,13 +69,11 @@ LEFT_OUT = {
     "psf_analysis": "light single pixels in Python",
 }  # fmt: skip
 """Keys that change a print and are not imported, and what to do."""
-OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic")
-"""Surfaces that no light passes."""
+OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic")  # surfaces that no light passes
 LOSSES = ("threshold", "l2")
 METHOD = ("loss", "optimizer", "n_steps", "progressive", "filter_radon", "filter_corner")
 """Keys of its method, which only a job that is to be solved would have."""
-ORIGIN = (0.0, 0.0, 0.0)
-"""Point of the part's frame that lies on the axis."""
+ORIGIN = (0.0, 0.0, 0.0)  # point of the part's frame that lies on the axis
 
 
 def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:

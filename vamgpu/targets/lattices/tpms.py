@@ -20,10 +20,8 @@ from vamgpu.geometry import positive
 Array = npt.NDArray[np.float64]
 Sampled = tuple[Array, Array]
 
-STEEPEST = sqrt(3.0)
-"""The partial derivatives of all functions here are at most 1; no function rises faster than this."""
-_FLATTEST = 0.05
-"""Lower limit of the gradient by phase, at maxima and saddles of a function."""
+STEEPEST = sqrt(3.0)  # the partial derivatives of all functions here are at most 1; no function rises faster than this
+_FLATTEST = 0.05  # lower limit of the gradient by phase, at maxima and saddles of a function
 GYROID_PINCH = sqrt(2.0)
 DIAMOND_PINCH = sqrt(0.5)
 
