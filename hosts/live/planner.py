@@ -103,7 +103,9 @@ class Following:
                 self._answered(told["answer"])
             elif "shown" in told:
                 for slot, version in zip(told["shown"]["slot"], told["shown"]["version"], strict=True):
-                    self._saw(int(slot) // self._planner.task["frames"], int(version))
+                    self._showed[turn := int(slot) // self._planner.task["frames"]] = int(version)
+                    if (decided := self._unseen.pop(int(version), 0)) > 0:
+                        self._record.note(decided, effective=turn)
             elif "image" in told and not self._over:
                 turn, rest = divmod(float(told["angle"]) / 360.0, 1.0)
                 if turn != self._turn:
@@ -127,11 +129,6 @@ class Following:
 
     def _blank(self) -> np.ndarray:
         return np.full((self._setup.angles, self._setup.pixels[1], self._setup.pixels[0]), np.nan, np.float32)
-
-    def _saw(self, turn: int, version: int) -> None:
-        self._showed[turn] = version
-        if (decided := self._unseen.pop(version, 0)) > 0:
-            self._record.note(decided, effective=turn)
 
     def _decide(self, stack: np.ndarray, sense: float) -> None:
         began, state, turn = time.perf_counter(), self._state, self._state.turn + 1

@@ -205,16 +205,11 @@ class Printer(Machine):
     def __post_init__(self) -> None:
         self._check(self.light)
 
-    @property
-    def critical_intensity(self) -> float:
-        """I_c = D_c·s [mW/mm²], the least irradiance that ever cures (S25)."""
-        return self.critical_dose * self.speed
-
     @cached_property
     def phi(self) -> np.ndarray:
         """Φ of every gray level (S10), behind the dead zone; float64 [256]."""
         seen = 10.0 ** (-self.dead_zone / self.absorption_height)
-        return np.array(self.light) * seen / self.critical_intensity
+        return np.array(self.light) * seen / (self.critical_dose * self.speed)  # by I_c, the least that cures (S25)
 
     @property
     def phi_min(self) -> float:

@@ -33,15 +33,6 @@ class Point:
     error: str = ""  # reason why the point failed; "" if it did not
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Function that a worker runs."""
-
-    job: Path
-    settings: tuple[str, ...]
-    point: Point
-
-
 def values_of(text: str) -> tuple[str, list[str]]:
     """Read a key and its values. Raises `BadInput`."""
     key, equals, rest = text.partition("=")
@@ -81,7 +72,7 @@ def sweep(
         Point(number, dict(zip(vary, map(str, values), strict=True)), place / f"{number:04}.vam")
         for number, values in enumerate(combinations, 1)
     ]
-    tasks = [_Task(source, tuple(settings), point) for point in points]
+    tasks = [(source, tuple(settings), point) for point in points]
     with workers(cluster, checked.file.solve.device) as each:
         for found in each(_solved, tasks):
             points[found.number - 1] = found
@@ -90,11 +81,11 @@ def sweep(
     return points
 
 
-def _solved(task: _Task) -> Point:
-    """Solve and prove one point; its error is returned."""
-    point = task.point
+def _solved(task: tuple[Path, tuple[str, ...], Point]) -> Point:
+    """Solve and prove one point of a job with settings; its error is returned."""
+    source, settings, point = task
     try:
-        job = read_job(task.job, (*task.settings, *(f"{key}={value}" for key, value in point.values.items())))
+        job = read_job(source, (*settings, *(f"{key}={value}" for key, value in point.values.items())))
         if not _is_done(point.folder, job.given):
             solve(job, point.folder, overwrite=point.folder.exists())
         proof = prove(point.folder, job.file.solve.device).proof
