@@ -6,9 +6,10 @@ import os
 import re
 import stat
 import zipfile
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path, PurePosixPath
 from typing import Any
 from zipfile import ZipInfo
@@ -41,7 +42,7 @@ BLOCKS_HELD = 6  # blocks of slices in memory at a time: two being read, two bei
 PIXEL_HELD = 40  # bytes per pixel that the state of a print needs in addition
 
 
-class FileStack(ABC):
+class FileStack(AbstractContextManager["FileStack"]):
     """Slices in files, decoded ahead on all processors. Use it as a context manager, which closes it."""
 
     place: Path
@@ -118,9 +119,6 @@ class FileStack(ABC):
             _drop(decoding)
         self._begun.clear()
         self._pool.shutdown(cancel_futures=True)
-
-    def __enter__(self) -> FileStack:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
