@@ -1,10 +1,6 @@
 """Correction of whole columns at once, by least squares.
 
-The sequential correction is exact wherever every feature can get its dose and every void can open. Elsewhere a
-compromise is needed, and this method finds one: with Ω at the borders as unknowns, light and the doses in the middle of
-slices are banded matrices with two bands. A dose beyond the critical one on the wrong side costs its square, and light
-stays between its limits. The alternating direction method of multipliers solves this; its linear system has three bands
-and is the same for all columns. The result is used only where its own cured heights are better.
+With Ω at the borders as unknowns, light and doses are banded; the method of multipliers solves all columns at once.
 """
 
 from __future__ import annotations

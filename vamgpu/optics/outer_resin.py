@@ -1,8 +1,6 @@
 """The dose of resin outside the voxels of the judged cylinder: beside it out to the wall, and above and below it.
 
-Beyond the lit radius of a vessel, several rays or none meet a point. Cells therefore get the energy that traced rays
-leave in them, not the light of the ray through a point. The light of every angle is that of one angle, rotated;
-products are therefore those of `SpectralProjection`.
+Beyond the lit radius several rays or none meet a point: cells get the energy that traced rays leave in them.
 """
 
 from __future__ import annotations

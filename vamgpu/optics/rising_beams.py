@@ -1,7 +1,6 @@
 """Beams whose light also moves along the axis of rotation: each consists of a plane, which is a vessel, and rows.
 
-`Oblique` projects them. Both are for light that is straight in the resin: air, or a vat whose liquid matches it. A
-round vial would also bend rising light out of the plane.
+`Oblique` projects them, in air or a vat whose liquid matches: a round vial would bend rising light out of the plane.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Energy that straight segments of rays leave in the voxels of the flat film: exact crossings, no steps.
 
-On the roller, the walls of the voxels are circles and radii; in the straight runs they are planes. Cut at its point
-nearest the axis, a segment is monotonic in l and in rho, and its crossings with walls are two lists in closed form.
+Cut at its point nearest the axis, a segment is monotonic in l and rho: its crossings with walls have closed forms.
 """
 
 from __future__ import annotations

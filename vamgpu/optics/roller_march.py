@@ -1,7 +1,6 @@
 """Rays marched on a device from face to face of a film whose index is a field.
 
-The marching kernels end a region at one quadric and a box. Over the roller, rays are marched once to the outer circle
-and once to the inner one, and the first end counts; a straight run is a box.
+Over the roller, rays are marched to the outer and to the inner circle, and the first end counts; a run is a box.
 """
 
 from __future__ import annotations

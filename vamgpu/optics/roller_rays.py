@@ -1,7 +1,6 @@
 """Rays through a film about a roller: from face to face, straight in between.
 
-The faces are concentric circles in front of the roller's axis (y < 0) and planes |x| = const behind it, where the web
-leaves the roller along two straight runs.
+Faces are concentric circles in front of the roller's axis (y < 0), and planes |x| = const along the runs behind it.
 """
 
 from __future__ import annotations

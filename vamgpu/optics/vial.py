@@ -136,6 +136,7 @@ class Vial(Container):
         )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
+        # columns per mm across the chord, 1 / |p'(u) − t·d'(u)|; where rays meet, that of the smallest |u| counts
         columns, inside, x, y, spacing = self._columns(across, along)
         weight = np.zeros(inside.shape)
         (weight[inside],) = pointwise(self._weights, columns[inside], x, y, spacing)

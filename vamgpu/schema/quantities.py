@@ -1,7 +1,6 @@
 """Types of fields: the quantity that a number measures, and its allowed range.
 
-They work in dataclasses, whose constructors call `vamgpu.schema.check`, and in pydantic's models. ``Length`` is a float
-in mm in Python and ``"12.4 mm"`` in a file; Python may pass either one to a model.
+`vamgpu.schema.check` applies them in dataclasses, pydantic in models, where ``Length`` also reads ``"12.4 mm"``.
 """
 
 from __future__ import annotations

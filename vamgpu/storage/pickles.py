@@ -1,7 +1,6 @@
 """Pickles of arrays and plain values, read without executing anything that they name.
 
-A pickle is a program: `pickle.load` calls whatever it names. Here its classes become plain sets of attributes, and its
-arrays are assembled from their bytes; any other call is an error.
+Its classes become plain sets of attributes, its arrays are assembled from bytes; any other call is an error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """The only entry: every file that the library reads is opened here.
 
-Only regular files are opened; a pipe, a device or a folder in place of a file is an error, and reading never waits.
-Sizes are checked before anything is decoded, and depth and numbers of decoded data before they are used.
+Only regular files are opened, so that reading never waits; sizes and depths are checked before data are used.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Files of many chunks, as Zarr's sharding codec lays them out, written and read by as many threads as there are cores.
 
-A file has its chunks, each compressed by Zstandard with a checksum, then the start and length of each, then the CRC-32C
-of that index. Chunks are entries of an array's first axis.
+Chunks, each compressed by Zstandard with a checksum, then the start and length of each, then the CRC-32C of these.
 """
 
 from __future__ import annotations

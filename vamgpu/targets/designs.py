@@ -1,7 +1,6 @@
 """Test patterns of the papers: dots, bars, gray wedges and blocks of compartments, with exactly covered pixels.
 
-Slices are squares whose diagonal is the diameter of the curing volume. Sources: B. Wang et al., Lateral contrast
-enhancement via binary photoinhibition, Figs 9 to 11; the bars follow MIL-STD-150A.
+Slices are squares whose diagonal is the volume's diameter (B. Wang et al., Figs 9 to 11); bars follow MIL-STD-150A.
 """
 
 from __future__ import annotations

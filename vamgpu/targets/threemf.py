@@ -1,7 +1,6 @@
 """Read 3MF packages as slicers do: which objects are printed, where they are placed, and what is subtracted.
 
-The core, production and beam lattice extensions, and the volumes that PrusaSlicer and Bambu Studio (Orca) describe in
-addition.
+The core, production and beam lattice extensions, and the volumes of PrusaSlicer and Bambu Studio (Orca).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Dr.TVAM (EPFL): a configuration in JSON, meshes beside it, patterns as an NPZ file or EXR images.
 
-Its frames have our orientation: row 0 is the largest z, column 0 the smallest r. Pattern k of n is shown with the
-projector at the angle 2πk/n, counterclockwise unless the configuration sets clockwise. Its lengths have no unit and are
-read as millimeters.
+Frames have our orientation; pattern k of n is lit at 2πk/n, backwards if clockwise. Lengths count as millimeters.
 """
 
 from __future__ import annotations
