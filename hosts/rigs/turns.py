@@ -27,10 +27,7 @@ MICRO = 1000  # Machines light frames for whole microseconds [ns]
 
 
 def proved(jobs: tuple[PrintJob, ...], turns: int | None, speed: float, device: str | Device | None) -> Proven | str:
-    """The proof of a vial's job for these turns, or why its exposure is not known. Raises as `prove` does.
-
-    Patterns that follow oxygen through other turns are refused.
-    """
+    """The proof of a vial's job for these turns, or why its exposure is not known. Raises as `prove` does."""
     path = jobs[0].path
     if len(jobs) > 1:
         return f"{len(jobs)} projectors share the dose, and each job is proved separately"

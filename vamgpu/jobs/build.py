@@ -52,10 +52,8 @@ from vamgpu.targets.target import Target
 from vamgpu.travel import Travel
 from vamgpu.units import deg, rad
 
-SPARE = 2
-"""Pixels by which a beam extends beyond the part on every side if the job does not give its pixels."""
-ANGLES = {"angle_deg": deg, "angle_rad": rad}
-"""Columns that hold angles, and their units."""
+SPARE = 2  # pixels by which a beam extends beyond the part on every side if the job does not give its pixels
+ANGLES = {"angle_deg": deg, "angle_rad": rad}  # columns that hold angles, and their units
 
 
 def target_of(job: Job, device: Device) -> Target:

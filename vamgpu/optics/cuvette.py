@@ -18,10 +18,8 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Deviation, HalfAngle, Index, Length, NonNegative, Thickness
 
 QUANTILES = 1 << 12
-MOST = 4000
-"""Greatest number of segments of a photon; one that is still in the resin then is given up."""
-ANGLES = 1 << 12
-"""Cosines from 0 to 1 at which the transmittance of a face is computed."""
+MOST = 4000  # greatest number of segments of a photon; one that is still in the resin then is given up
+ANGLES = 1 << 12  # cosines from 0 to 1 at which the transmittance of a face is computed
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """The dose of resin outside the voxels of the judged cylinder: beside it out to the wall, and above and below it.
 
-Beyond the lit radius of a vessel, several rays or none meet a point. Cells therefore get the energy that traced rays
-leave in them, not the light of the ray through a point. The light of every angle is that of one angle, rotated;
-products are therefore those of `SpectralProjection`.
+Beyond the lit radius several rays or none meet a point: cells get the energy that traced rays leave in them.
 """
 
 from __future__ import annotations
@@ -37,12 +35,9 @@ from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, traced_rays
 from vamgpu.schema.quantities import Thickness
 
-WIDTH = 2.0
-"""Width of a cell beside the part [voxels]."""
-MOST_ANGLES = 1440
-"""Greatest number of evenly spaced angles per turn between which measured angles are placed."""
-TOGETHER = 64
-"""Rows whose crossings a thread finds at once."""
+WIDTH = 2.0  # width of a cell beside the part [voxels]
+MOST_ANGLES = 1440  # greatest number of evenly spaced angles per turn between which measured angles are placed
+TOGETHER = 64  # rows whose crossings a thread finds at once
 RAYS, STEPS = 6, 8
 """Rays traced per column, or, if that is more, `STEPS` per ring width; and positions on each ray across one ring."""
 

@@ -11,8 +11,7 @@ from vamgpu.errors import BadInput
 from vamgpu.schema import check
 from vamgpu.schema.quantities import NonNegative, ScatteringCoefficient, Turn, finite
 
-STEPS = 1 << 14
-"""Cosines between −1 and 1 at which a phase function is added up."""
+STEPS = 1 << 14  # cosines between −1 and 1 at which a phase function is added up
 SHARPEST = 0.98
 """Greatest anisotropy: beyond it, light is hardly turned, and a phase function that sharp is not sampled exactly."""
 

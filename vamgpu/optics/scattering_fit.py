@@ -17,33 +17,23 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.optics.scattering import Scattering
 from vamgpu.quantity import positive
 
-RINGS = 24
-"""Rings of an image whose light is fitted."""
-PHOTONS = 200_000
-"""Photons that are followed through each cuvette."""
+RINGS = 24  # rings of an image whose light is fitted
+PHOTONS = 200_000  # photons that are followed through each cuvette
 LEAST = 1000  # fewest photons that may be followed
-MOST = 30
-"""Greatest number of steps of the fit, and of those towards the middle of an image."""
+MOST = 30  # greatest number of steps of the fit, and of those towards the middle of an image
 NEAR, SETTLED = 10.0, 0.5
 """Fall of the sum of squares by a step, over their mean, below which all photons are followed, and the fit ends."""
-LONGEST = np.array([0.5, 0.4])
-"""Greatest step of ln μ_s and of artanh g."""
-SHARPEST = atanh(0.975)
-"""Greatest artanh of the anisotropy."""
-CONTRADICTED = 5.0
-"""Standard deviations from the others above which a reading contradicts them."""
-UNKNOWN = 0.25
-"""Greatest standard deviation of g, and of μ_s relative to itself."""
-HOT = 1e-3
-"""Share of saturated pixels that may be faults of the camera."""
+LONGEST = np.array([0.5, 0.4])  # greatest step of ln μ_s and of artanh g
+SHARPEST = atanh(0.975)  # greatest artanh of the anisotropy
+CONTRADICTED = 5.0  # standard deviations from the others above which a reading contradicts them
+UNKNOWN = 0.25  # greatest standard deviation of g, and of μ_s relative to itself
+HOT = 1e-3  # share of saturated pixels that may be faults of the camera
 PILED, BELOW = 3.0, 20
 """Pixels at the greatest gray level, over those at any of so many levels below, from which it is taken as saturated."""
 LOST = 0.1
 """Light of photons that were given up, in standard deviations of total light, from which a fit is refused."""
-FEW = 10
-"""Photons that the darkest ring should receive."""
-TWO_SIDED = 1.96
-"""Standard deviations of a 95 % interval to either side."""
+FEW = 10  # photons that the darkest ring should receive
+TWO_SIDED = 1.96  # standard deviations of a 95 % interval to either side
 
 
 @dataclass(frozen=True, eq=False)

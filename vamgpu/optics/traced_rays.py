@@ -33,10 +33,7 @@ class Crossing(NamedTuple):
 
 
 class Rays(Protocol):
-    """Rays of one angle in order of their columns.
-
-    u: offsets of the columns [mm], ascending.  transmittance: power that reaches the resin.
-    """
+    """Rays of one angle in ascending order of their columns u [mm], with the power that reaches the resin."""
 
     @property
     def u(self) -> Floats: ...

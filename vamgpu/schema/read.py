@@ -22,8 +22,7 @@ from vamgpu.schema.registry import as_known, families_of, family, find, remedy
 from vamgpu.schema.section import Listed, Section
 from vamgpu.schema.write import ARRAY
 
-MOST_SHOWN = 200
-"""Number of characters shown of an invalid value."""
+MOST_SHOWN = 200  # number of characters shown of an invalid value
 
 
 EXPECTED = {
@@ -37,8 +36,7 @@ EXPECTED = {
 }
 """Type of pydantic's error → the expected value, in words of a file."""
 NOUN_WORD = "kind"
-NOUN = "noun"
-"""Stands for ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`."""
+NOUN = "noun"  # stands for ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`
 
 
 class Nouns:

@@ -26,14 +26,10 @@ from vamgpu.storage.reading import parse_json, read_text
 from vamgpu.studio.commands import Command, newest
 from vamgpu.studio.workspace import RESULT, Refused, Workspace
 
-POINTS = 500
-"""Largest number of points of a history."""
-PATIENCE = 10.0
-"""Time after which a second request to cancel kills a task [s]."""
-TAIL = 65536
-"""Bytes of a log that are shown."""
-MOST = 1000
-"""Largest number of tasks in the list."""
+POINTS = 500  # largest number of points of a history
+PATIENCE = 10.0  # time after which a second request to cancel kills a task [s]
+TAIL = 65536  # bytes of a log that are shown
+MOST = 1000  # largest number of tasks in the list
 ENDED = ("done", "failed", "cancelled")
 
 

@@ -32,12 +32,10 @@ if TYPE_CHECKING:
 
     from vamgpu.targets.limits import Limits
 
-MARGIN = 2
-"""Voxels between the part and the rim of the inscribed cylinder, by default."""
+MARGIN = 2  # voxels between the part and the rim of the inscribed cylinder, by default
 SMALLEST, LARGEST = 0.1, 1000.0
 """Limits of the longest edge [mm] of a part's box; outside of them its unit is probably wrong."""
-_MULTIPLE = 4
-"""Default grids have multiples of this many voxels along every axis."""
+_MULTIPLE = 4  # default grids have multiples of this many voxels along every axis
 _SLACK = 1e-6
 """Voxels by which a part may exceed the grid, because rounding errors of a length must not add a row of voxels."""
 
