@@ -34,7 +34,7 @@ from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_b
 from vamgpu.printing.spread import TAIL, column_shares, row_shares, spread_of
 
 MEMORY, GPU_MEMORY = 1 << 29, 1 << 31
-"""Bytes that the arrays of one slab may take; on a GPU, where `expose_voxels` computes four slabs in the time of one."""
+"""Bytes that the arrays of one slab may take; on a GPU, four slabs of `expose_voxels` take the time of one."""
 BETWEEN = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
 """Interpolates midway between samples, exactly for polynomials of degree 5."""
 A_PIXEL = 2.0
