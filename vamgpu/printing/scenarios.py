@@ -20,9 +20,9 @@ class Scenario:
     unit: str  # of the amounts: "pixel", or "%"
     amounts: tuple[float, ...]  # amounts in the table, in pixels or as a share
     farthest: float  # largest amount up to which the first wrong voxel is searched for
-    # the operator of a machine with an error of this amount; raises `BadInput` if the error does not apply. None if
+    # beam and vessel of a machine with an error of this amount; raises `BadInput` if the error does not apply. None if
     # only the dose is scaled
-    off: Callable[[Projection, float], Projection] | None
+    off: Callable[[Projection, float], tuple[Beam, Any]] | None
 
     @property
     def signs(self) -> tuple[int, ...]:
@@ -35,9 +35,13 @@ class Scenario:
         return f"{value:+.{digits}g} {self.unit}".replace("-", "−")
 
 
-def softer(A: Projection, pixels: float) -> Projection:
-    """The same light through a lens whose point spread is wider by a number of pixels (added to σ)."""
-    return _varied(A, replace(A.beam, spread=(A.beam.sigma + pixels) * A.beam.pitch), A.vessel)
+def _softer(A: Projection, pixels: float) -> tuple[Beam, Any]:
+    """A lens whose point spread is wider by a number of pixels (added to σ)."""
+    return replace(A.beam, spread=(A.beam.sigma + pixels) * A.beam.pitch), A.vessel
+
+
+def _aside(A: Projection, pixels: float) -> tuple[Beam, Any]:
+    return A.beam, _displaced(A.vessel, pixels * A.beam.pitch)
 
 
 def displaced(A: Projection, pixels: float) -> Projection:
@@ -76,9 +80,9 @@ def _varied(A: Projection, beam: Beam, vessel: Any) -> Projection:
 
 
 SCENARIOS = (
-    Scenario("point spread", "pixel", (0.25, 0.5, 1.0), 2.0, softer),
-    Scenario("axis of rotation", "pixel", (-0.5, -0.25, 0.25, 0.5), 2.0, displaced),
-    Scenario("absorption", "%", (-0.1, 0.1), 0.5, clouded),
+    Scenario("point spread", "pixel", (0.25, 0.5, 1.0), 2.0, _softer),
+    Scenario("axis of rotation", "pixel", (-0.5, -0.25, 0.25, 0.5), 2.0, _aside),
+    Scenario("absorption", "%", (-0.1, 0.1), 0.5, lambda A, share: (A.beam, _clouded(A.vessel, share))),
     Scenario("dose", "%", (-0.1, -0.05, 0.05, 0.1), 1.0, None),
 )
 """Scenarios of a report's tolerance table."""
