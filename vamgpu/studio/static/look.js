@@ -192,15 +192,16 @@ export class LookTab {
 
   errors() {
     const rows = OFF.map(([key, name, unit, min, max, step]) => slider(name, { min, max, step, value: this.off[key], say: (value) => `${min < 0 ? signed(value) : fixed(value, 0)} ${unit}`, input: (value) => { this.off[key] = value; } }));
-    const tolerances = this.result.tolerances, first = tolerances?.first || [];
+    const tolerances = this.result.tolerances, first = tolerances?.first || [], [known, unknown] = [(row) => !row.note, (row) => row.note].map((each) => (tolerances?.rows || []).filter(each));
     return card("If the machine is off", make("div", { class: "stack" }, make("p", { class: "soft" }, "Set errors, and expose the same frames again with them."), make("div", { class: "stack sliders" }, rows), make("div", { class: "row" }, button("Expose with these errors", async () => {
       const off = Object.fromEntries(OFF.filter(([key]) => this.off[key]).map(([key, , , , , , unit]) => [key, `${this.off[key]} ${unit}`]));
       if (!Object.keys(off).length) return say("set an error first", true);
       await started({ kind: "expose", result: chosen.result.id, device: null, off });
       say("exposing again; the result appears here");
     }, { class: "primary" }), tolerances ? null : button("Measure all tolerances", () => started({ kind: "prove", result: chosen.result.id, device: null, tolerances: true }))),
-    tolerances ? table("Tolerances", { "aria-label": "Windows with one error at a time" }, ["error", "window", "wrong voxels"],
-      tolerances.rows.map((each) => row(`${each.name} ${each.change}`.replace("-", "−"), fixed(each.window, 3), number(each.wrong)))) : null,
+    known.length ? table("Tolerances", { "aria-label": "Windows with one error at a time" }, ["error", "window", "wrong voxels"],
+      known.map((each) => row(`${each.name} ${each.change}`.replace("-", "−"), fixed(each.window, 3), number(each.wrong)))) : null,
+    [...new Set(unknown.map(({ note }) => note))].map((note) => make("p", { class: "soft" }, `Not measured: ${[...new Set(unknown.filter((each) => each.note === note).map(({ name }) => name))].join(", ")} (${note}).`)),
     first.length ? make("h3", {}, "Errors that cause the first wrong voxel") : null, first.length ? make("ul", { class: "plain" }, first.map(({ name, text }) => make("li", {}, `${name}: ${text}`))) : null));
   }
 

@@ -39,7 +39,7 @@ export class PrintTab {
     const anyway = make("label", { class: "check", hidden: good }, make("input", { type: "checkbox", checked: this.anyway === result.id, "data-key": "anyway", onchange: (event) => {
       this.anyway = event.target.checked ? result.id : null;
       start.disabled = held();
-    } }), make("span", {}, "Print anyway, without knowing whether it prints"));
+    } }), make("span", {}, result.verdict ? "Print anyway, although it does not print in the simulation" : "Print anyway, without knowing whether it prints"));
     const start = button("Start the print", async () => {
       await send("POST", "tasks", { kind: "print", ...request({ anyway: !good, confirm: this.confirmed.trim() }) });
       this.confirmed = this.anyway = "";
