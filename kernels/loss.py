@@ -54,21 +54,23 @@ def sampled_loss(
 @pointwise(over="dose")
 def ramp_loss(
     dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outside: Real, inside: Real, most: Real,
-    reach: Real, parts: Parts,
+    hold: Integer, reach: Real, parts: Parts, slopes: Parts, bends: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·e²/2; dose becomes ∂(Σ parts)/∂dose."""
+    """Σ parts = Σ w·e²/2; dose becomes ∂(Σ parts)/∂dose, unless ``hold``."""
     # target: 0 one width outside the surface, 1 one width inside it, linear between. The threshold is t = outside +
     # (inside − outside)·target. For a target of at least one half, e is the amount by which a dose is below t or above
-    # ``most``; otherwise by which it is above t. w = weight if ``weighted``, else 1, and 0 beyond ``reach``.
-    threshold = outside + (inside - outside) * target
-    error = np.where(
-        target >= 0.5,
-        np.minimum(dose - threshold, 0.0) + np.maximum(dose - most, 0.0),
-        np.maximum(dose - threshold, 0.0),
-    )
-    near, slope = near_axis(dose, reach), weight * error if weighted else error
-    add_up(parts, np.where(near, 0.5 * slope * error, 0.0))
-    dose[...] = np.where(near, slope, 0.0)
+    # ``most``; otherwise by which it is above t. w = weight if ``weighted``, else 1, and 0 beyond ``reach``. Σ slopes,
+    # Σ bends: first and second derivative as inside and most rise and outside falls by as much.
+    rise, part, off = 2.0 * target - 1.0, target >= 0.5, dose - (outside + (inside - outside) * target)
+    short = np.where(part, np.minimum(off, 0.0), np.maximum(off, 0.0))
+    over = np.where(part, np.maximum(dose - most, 0.0), 0.0)
+    near, gain, error = near_axis(dose, reach), weight if weighted else 1.0, short + over
+    add_up(parts, np.where(near, 0.5 * gain * error * error, 0.0))
+    add_up(slopes, np.where(near, -gain * (rise * short + over), 0.0))
+    bend = np.where(short != 0.0, rise * rise, 0.0) + np.where(over > 0.0, 1.0, 0.0)
+    add_up(bends, np.where(near, gain * bend, 0.0))
+    slope = np.where(near, gain * error, 0.0)
+    dose[...] = dose if hold else slope
 
 
 @pointwise(over="dose")

@@ -45,9 +45,3 @@ def dual_step(
 def dual_dose(lower: Array, upper: Array, target: Array, pull: ArrayOut) -> None:
     """pull = cost of a unit of dose: ``lower`` outside, upper − lower inside."""
     pull[...] = np.where(target >= 0.5, upper - lower, lower)
-
-
-@pointwise(over="now")
-def reflect(step: Array, anchor: Array, share: Real, now: ArrayInOut) -> None:
-    """now = share·(2·step − now) + (1 − share)·anchor: reflection, pulled towards an anchor."""
-    now[...] = share * (2.0 * step - now) + (1.0 - share) * anchor

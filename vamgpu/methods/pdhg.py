@@ -19,7 +19,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.dwell import weigh_poses
-from vamgpu.kernels.pdhg import dual_dose, dual_step, primal_step, reflect
+from vamgpu.kernels.pdhg import dual_dose, dual_step, primal_step
 from vamgpu.kernels.update import multiply
 from vamgpu.methods.certificate import Bound, certified, limited
 from vamgpu.methods.fbp import filtered_light
@@ -184,7 +184,8 @@ class _Run:
         memory = self.memory
         for name in FIELDS:
             now, anchor = memory[name], memory[f"{name} anchor"]
-            self.state.device.launch(reflect, step=self.after[name], anchor=anchor, share=share, now=now)
+            self.state.combine(2.0 * share, self.after[name], -share, now, now)
+            self.state.combine(1.0, now, 1.0 - share, anchor, now)
         for name in LEVELS:
             beyond = 2.0 * self.levels[name] - memory[name]
             memory[name] = share * beyond + (1.0 - share) * memory[f"{name} anchor"]
