@@ -253,7 +253,8 @@ def _array_sizes(n: int) -> dict[str, int]:
 def _partial(n: int, **given: Any) -> Example:
     kinds: dict[str, Callable[[np.ndarray], Any]] = {"lows": np.min, "highs": np.max}
     kinds |= dict.fromkeys(
-        ("parts", "moved", "crossed", "inside", "outside", "below", "shorts", "above", "over"), np.sum
+        ("parts", "moved", "crossed", "inside", "outside", "below", "shorts", "above", "over", "slopes", "bends"),
+        np.sum,
     )
     return Example({**_array_sizes(n), "part": 0, "sample": 2}, given, combine=kinds)
 
@@ -712,7 +713,6 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "clip_dose": lambda n: _elementwise(n, least=0.8, leak=1.7, relax=1.6, reach=0.4 * n, rim=0.3),
     "clip_light": lambda n: _elementwise(n, push=0.3, base=0.3, relax=1.6),
     "dual_dose": _elementwise,
-    "reflect": lambda n: _elementwise(n, share=0.8),
     "divide_prices": lambda n: _elementwise(n, inside=0.3, outside=0.7),
     "light_short_pixels": lambda n: _elementwise(n, scale=2.0),
     "level_cover": lambda n: _elementwise(n, reach=0.4 * n),
@@ -731,7 +731,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "filtered_step": lambda n: _filtered(n, step=0.3, momentum=0.8),
     "band_loss": _band,
     "sampled_loss": _sampled,
-    "ramp_loss": lambda n: _partial(n, weighted=1, outside=0.3, inside=0.8, most=0.9, reach=0.4 * n),
+    "ramp_loss": lambda n: _partial(n, weighted=1, outside=0.3, inside=0.8, most=0.9, hold=0, reach=0.4 * n),
     "dark_loss": lambda n: _partial(n, most=0.6),
     "tally": _counted,
     "fold_counts": _folded,

@@ -227,9 +227,6 @@ CASES = {
     "primal_step": Case(pdhg.primal_step, primal_step, {"step": 0.9, "most": 0.8}, {"columns": SOME}),
     "dual_step": Case(pdhg.dual_step, dual_step, WINDOW, {"rows": SOME, "ahead": (0.0, 2.0), "lower": (0.0, 0.3)}),
     "dual_dose": Case(pdhg.dual_dose, lambda v: {"pull": v.upper - v.lower if v.target >= 0.5 else v.lower}),
-    "reflect": Case(
-        pdhg.reflect, lambda v: {"now": v.share * (2 * v.step - v.now) + (1 - v.share) * v.anchor}, {"share": 0.8}
-    ),
     "divide_prices": Case(covering.divide_prices, divide_prices, {"inside": 0.3, "outside": 0.7}, SIGNED),
     "light_short_pixels": Case(covering.light_short_pixels, light_short_pixels, {"scale": 0.7}, {"cover": SOME}),
     "level_cover": Case(
@@ -375,7 +372,7 @@ def dark_loss(v: SimpleNamespace) -> float:
 BAND = {"low": 0.3, "high": 0.8, "slack_low": 0.05, "slack_high": 0.12, "gain_low": 0.7, "gain_high": 1.5, "reach": 1.0}
 OF_DOSE = {"dose": (0.0, 1.2), "target": (0.0, 1.0), "weight": (0.0, 2.0), "response": SAMPLES}
 SAMPLED = {"outer": SAMPLES, "inner": SAMPLES[::-1] ** 2}
-RAMP = {"outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 1.0}
+RAMP = {"outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 1.0, "hold": 0}
 LOSSES: dict[str, Case] = {
     "band, cubic": Case(
         loss.band_loss, band_loss, BAND | CURVE | {"power": 3.0, "ridge": 0.2, "weighted": 1, "binary": 0}, OF_DOSE
@@ -409,6 +406,24 @@ def test_the_slope_of_a_loss_is_its_difference(name: str) -> None:
     kernel.definition(**arrays, **numbers)
     assert np.count_nonzero(losses) >= 4 and arrays["parts"].sum() == pytest.approx(losses.sum(), rel=1e-12)
     assert np.allclose(arrays["dose"], slopes, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("weighted", [0, 1])
+def test_a_ramp_gives_the_derivatives_by_its_step_and_leaves_the_dose(weighted: int) -> None:
+    case = Case(loss.ramp_loss, ramp_loss, RAMP | {"weighted": weighted, "hold": 1}, OF_DOSE)
+    arrays = arrays_of(case)
+    before = arrays["dose"].copy()
+
+    def at(more: float) -> float:
+        apart = case.numbers | {"outside": 0.3 - more, "inside": 0.8 + more, "most": 0.9 + more}
+        formula = case._replace(numbers=apart, formula=lambda v: {"parts": ramp_loss(v)})
+        return expected(formula, arrays | {"dose": before})["parts"]
+
+    loss.ramp_loss.definition(**arrays, **case.numbers)
+    lower, middle, upper = (at(more) for more in (-1e-5, 0.0, 1e-5))
+    assert arrays["slopes"].sum() == pytest.approx((upper - lower) / 2e-5, rel=1e-6)
+    assert arrays["bends"].sum() == pytest.approx((upper - 2.0 * middle + lower) / 1e-10, rel=1e-4)
+    assert arrays["parts"].sum() == pytest.approx(middle, rel=1e-12) and np.array_equal(arrays["dose"], before)
 
 
 Rates = Callable[[list[np.ndarray]], list[Any]]

@@ -32,6 +32,7 @@ BAND = {
     "ridge": 0.0,
 }
 LINE = {"start": 0.0, "density": 1.0}
+SUMS = ("parts", "slopes", "bends")
 CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (linear, {"a": 0.5, "b": -1.5, "floor": 0.0}),
     (apply_penalty, {"weight": 0.1, "power": 4.0, "hold": 0, "most": 1.0}),
@@ -50,7 +51,8 @@ CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (band_loss, {**BAND, **LINE, "response": FLAT, "power": 1.0, "binary": 1}),
     *((sampled_loss, {"weighted": k, "outer": CURVE, "inner": CURVE[::-1] ** 2, "start": -1.0, "density": 13.0,
                       "binary": 1 - k, "reach": 15.0}) for k in (0, 1)),
-    *((ramp_loss, {"weighted": k, "outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 15.0}) for k in (0, 1)),
+    *((ramp_loss, {"weighted": k, "hold": 1 - k, "outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 15.0})
+      for k in (0, 1)),
 ]  # fmt: skip
 
 
@@ -63,13 +65,13 @@ def outcome(device: Device, kernel: Kernel, fixed: dict[str, Any]) -> list[np.nd
             values = rng.normal(size=(37, 30, 21))
             positive = argument in ("target", "weight") or kernel is correct_by_ratio
             bound[argument] = device.upload(np.float32(np.abs(values) if positive else values))
-        elif argument == "parts":
+        elif argument in SUMS:
             bound[argument] = parts_for(kernel, bound[kernel.over])
         else:
             bound[argument] = device.table(fixed[argument]) if np.ndim(fixed[argument]) else fixed[argument]
     device.launch(kernel, **bound)
     written = [argument for argument, spec in kernel.arguments.items() if getattr(spec, "writes", False)]
-    return [np.array(folded(bound[a])) if a == "parts" else bound[a].numpy() for a in written]
+    return [np.array(folded(bound[a])) if a in SUMS else bound[a].numpy() for a in written]
 
 
 @pytest.mark.parametrize(("kernel", "fixed"), CASES, ids=lambda value: getattr(value, "name", ""))

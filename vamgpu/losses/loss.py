@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from vamgpu.kernels.signature import Kernel
 from vamgpu.kernels.update import multiply
 from vamgpu.losses.response import REACH
 from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import EVERYWHERE, folded, parts_for
+from vamgpu.operators.reductions import EVERYWHERE, SUM, all_folded, parts_for
 
 DOSES = 257
 """Number of doses in the search for the curvature."""
@@ -109,6 +109,7 @@ class KernelLoss(Loss):
     """A sum over voxels that one kernel computes; the dataclass has a field ``weight``, the weight of each voxel."""
 
     weight: Any
+    sums: ClassVar[tuple[str, ...]] = ("parts",)  # the kernel's partial results, the loss first
 
     @abstractmethod
     def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
@@ -118,7 +119,7 @@ class KernelLoss(Loss):
             device: Device of the loss.
 
         Returns:
-            The kernel, and its arguments besides dose, target, weight, reach and parts.
+            The kernel, and its arguments besides dose, target, weight, reach and sums.
         """
 
     @property
@@ -130,14 +131,15 @@ class KernelLoss(Loss):
     ) -> float:
         if out is not dose:
             combine(1.0, dose, 0.0, dose, out)
-        kernel, given = self.launched(out.device)
-        parts = parts_for(kernel, out)
-        weight = target if self.weight is None else self.weight
-        weighted = int(self.weight is not None)
-        out.device.launch(
-            kernel, dose=out, target=target, weight=weight, weighted=weighted, **given, reach=reach, parts=parts
-        )
-        return folded(parts)
+        return self.passed(out, target, reach)[0]
+
+    def passed(self, dose: DeviceArray, target: DeviceArray, reach: float, **more: Any) -> list[float]:
+        """The kernel's sums, with ``more`` in place of what `launched` gives; the dose becomes the derivative."""
+        kernel, given = self.launched(dose.device)
+        tables = {name: parts_for(kernel, dose) for name in self.sums}
+        given |= {"weight": target, "weighted": 0} if self.weight is None else {"weight": self.weight, "weighted": 1}
+        dose.device.launch(kernel, dose=dose, target=target, reach=reach, **(given | more), **tables)
+        return all_folded((table, SUM) for table in tables.values())
 
     def weighted(self, weight: DeviceArray) -> Self:
         both = weight

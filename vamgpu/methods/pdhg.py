@@ -2,13 +2,10 @@
 
     maximize a − b   over g ≥ 0, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside
 
-With the multipliers y ≥ 0 of the limits Kx ≤ c of x = (g, a, b), a step of PDHG is (A. Chambolle, T. Pock, J. Math.
-Imaging Vis. 40 (2011) 120)
-
+With multipliers y ≥ 0 of the limits Kx ≤ c of x = (g, a, b), a step is (`PDHG.papers`)
     x⁺ = proj(x − τ (Kᵀy − (0, 1, −1)))        y⁺ = max(0, y + σ (K(2x⁺ − x) − c))
-
-with steps τ, σ for each pixel and voxel, as long as is provably safe. Rounds of k steps are reflected and anchored at
-their start (H. Lu, J. Yang, arXiv:2407.16144): z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
+for each pixel and voxel, and rounds of k steps are reflected and anchored (H. Lu, J. Yang, arXiv:2407.16144):
+z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.dwell import weigh_poses
-from vamgpu.kernels.pdhg import dual_dose, dual_step, primal_step, reflect
+from vamgpu.kernels.pdhg import dual_dose, dual_step, primal_step
 from vamgpu.kernels.update import multiply
 from vamgpu.methods.certificate import Bound, certified, limited
 from vamgpu.methods.fbp import filtered_light
@@ -187,7 +184,8 @@ class _Run:
         memory = self.memory
         for name in FIELDS:
             now, anchor = memory[name], memory[f"{name} anchor"]
-            self.state.device.launch(reflect, step=self.after[name], anchor=anchor, share=share, now=now)
+            self.state.combine(2.0 * share, self.after[name], -share, now, now)
+            self.state.combine(1.0, now, 1.0 - share, anchor, now)
         for name in LEVELS:
             beyond = 2.0 * self.levels[name] - memory[name]
             memory[name] = share * beyond + (1.0 - share) * memory[f"{name} anchor"]
