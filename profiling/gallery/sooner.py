@@ -23,8 +23,8 @@ def sooner(
     usual, wide = SurfaceRamp(), SurfaceRamp(brightest=float(brightest))
     plans = {f"brightest = {method.brightest:g}": optimize(A, target, method, evaluations=4 * most, progress=False)
              for method in (wide, usual)}  # fmt: skip
-    lamp = {"irradiance": irradiance, "critical_dose": critical_dose}
-    series = {name: pareto(plan, evaluations=most, **lamp) for name, plan in plans.items()}
+    series = {name: pareto(plan, irradiance=irradiance, critical_dose=critical_dose, evaluations=most)
+              for name, plan in plans.items()}  # fmt: skip
     figure, axes = style.sheet("ab", 4.2)
     for (name, points), color in zip(series.items(), (style.ORANGE, style.BLUE), strict=True):
         seconds = [point.seconds for point in points]
