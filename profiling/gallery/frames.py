@@ -74,11 +74,11 @@ def frames(
         "Patterns are converted to bytes. A full-on pixel corresponds to the brightest one that is not an outlier; "
         "each pixel gets the level whose measured light, black level included, is nearest. With 1 bit, each pixel "
         "passes its rounding error to the next angle. The dose sums over angles; most of the part therefore survives. "
-        "Rounding to the nearest bit loses it. Bits chosen together by their dose keep more of the window than error "
-        "diffusion, and get more voxels right. The table judges only the dose of the bytes, decoded as the mirrors "
-        "show them; their black level adds light that is not in the plan. The window is that of points at least a "
-        "pixel from the surface, across which the default method lets the dose rise. The error is the norm of the "
-        "difference in light, divided by the norm of the light."
+        "Rounding to the nearest bit loses it. Bits chosen together by their dose keep the window as well as error "
+        "diffusion does, and get more voxels right. The table judges only the dose of the bytes, decoded as the "
+        "mirrors show them; their black level adds light that is not in the plan. The window is that of points at "
+        "least a pixel from the surface, across which the default method lets the dose rise. The error is the norm of "
+        "the difference in light, divided by the norm of the light."
     )
     return Picture(figure, caption, facts, table, plan.papers)
 
