@@ -1,9 +1,4 @@
-"""Light of one angle through a cylinder of resin whose absorbing species is depleted.
-
-Rays run across the light at r and along it at s = −(x·cosθ + y·sinθ), from the side of the projector. First, rays sum
-the species along their way; then each voxel looks up its ray's sum and the light of both colors. Source: Beer-Lambert,
-paper "Reactive Transport Simulation", where extinction follows the depletion of o-Cl-HABI.
-"""
+"""Light of one angle through a cylinder of resin whose absorbing species is depleted."""
 
 from __future__ import annotations
 
@@ -22,10 +17,8 @@ Extinction = Annotated[np.ndarray, Table("float32", ("2", "2"))]  # color: μ [1
 
 @kernel(over="path", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=0, group=(8, 8)))
 def column_density(species: Volume, open: Open, pose: Pose, path: PathOut) -> None:
-    """path[r, s, z] = ∫ of the species along the ray from where it enters the cylinder to s = s·step − radius.
-
-    In the middle of a step, the species is interpolated between the open columns of voxels around it.
-    """
+    """path[r, s, z] = ∫ of the species along the ray from where it enters the cylinder to s = s·step − radius."""
+    # In the middle of a step, the species is interpolated between the open columns of voxels around it.
     cosine, sine, dx, dy, dr, step, radius, _ = (float(v) for v in pose)
     n_x, n_y, _ = species.shape
     path[...] = 0.0
@@ -51,10 +44,8 @@ def expose(
     path: Path, visible_light: Sinogram, ultraviolet_light: Sinogram, angle: Integer, pose: Pose,
     extinction: Extinction, visible: VolumeOut, ultraviolet: VolumeOut,
 ) -> None:  # fmt: skip
-    """Irradiance of both colors in every voxel at one angle: light · exp(−μ·length − ε·path), dark outside the resin.
-
-    Light is interpolated between columns of pixels, path between rays and along them.
-    """
+    """Irradiance of both colors in every voxel at one angle: light · exp(−μ·length − ε·path), dark beyond the resin."""
+    # Light is interpolated between columns of pixels, path between rays and along them.
     cosine, sine, dx, dy, dr, step, radius, _ = (float(v) for v in pose)
     rays, steps, _ = path.shape
     x = ((np.arange(visible.shape[0]) - 0.5 * (visible.shape[0] - 1)) * dx)[:, None]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.filter import Taps
+from vamgpu.kernels.filter import Taps, convolve
 from vamgpu.kernels.signature import ArrayOut, Field, Tiling, kernel
 
 Sharp = Annotated[np.ndarray, Field(("i", "j", "z"))]
@@ -15,7 +15,4 @@ Sharp = Annotated[np.ndarray, Field(("i", "j", "z"))]
 @kernel(over="blurred", reach="tap", cpu=Tiling(major=1, minor=0))
 def blur_slices(source: Sharp, taps: Taps, blurred: ArrayOut) -> None:
     """blurred[i, j, z] = Σ_t taps[|t|] · source[i, j, z + t], 0 beyond the edge: its own transpose."""
-    blurred[...] = taps[0] * source
-    for t in range(1, min(len(taps), source.shape[2])):
-        blurred[:, :, t:] += taps[t] * source[:, :, :-t]
-        blurred[:, :, :-t] += taps[t] * source[:, :, t:]
+    blurred[...] = convolve(source.swapaxes(1, 2), taps, 1).swapaxes(1, 2)

@@ -29,10 +29,8 @@ def measure_depth(
     images: Images, open: Open, reached: Reached, floor: Real, gain: Real, brightest: Real, depth: SinogramOut,
     weight: SinogramOut,
 ) -> None:  # fmt: skip
-    """depth = reached·ln(open / image), weight = 1 / its variance; both are 0 for invalid pixels.
-
-    floor: variance of the dark noise.  gain: variance per gray level.  brightest: least saturated level.
-    """
+    """depth = reached·ln(open / image), weight = 1 / its variance; both are 0 for invalid pixels."""
+    # floor: variance of the dark noise. gain: variance per gray level. brightest: least saturated level.
     levels, field = images.swapaxes(1, 2), np.resize(open, (len(images), *open.shape[1:])).swapaxes(1, 2)
     variance, lit = floor + gain * np.maximum(levels, 0.0), reached[:, None] > 0.0
     good = (levels**2 > FAINTEST**2 * variance) & (levels < brightest) & (field > 0.0) & lit
@@ -57,11 +55,8 @@ def take_bias(dark: Sinogram, linear: Sinogram, reached: Reached, depth: Sinogra
 
 @kernel(over="noise", cpu=CPU)
 def draw_noise(weight: Sinogram, slices: Numbers, seed: Integer, noise: SinogramOut) -> None:
-    """Normally distributed noise of variance 1 / weight, 0 where weight is 0; the same on every device and layout.
-
-    slices: 0, 1, 2, …
-    Source: hash by M. E. O'Neill (PCG-RXS-M-XS-32), G. E. P. Box & M. E. Muller, Ann. Math. Stat. 29 (1958) 610.
-    """
+    """Normally distributed noise of variance 1 / weight, 0 where weight is 0; the same on every device and layout."""
+    # slices: 0, 1, 2, … Sources: M. E. O'Neill's hash PCG-RXS-M-XS-32; Box & Muller, Ann. Math. Stat. 29 (1958) 610.
     with np.errstate(over="ignore"):
         columns = np.arange(weight.shape[0] * weight.shape[1], dtype=np.uint32) + np.uint32(seed) * SPREAD
         first = hashed(hashed(columns)[:, None] + slices.astype(np.uint32))

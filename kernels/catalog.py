@@ -41,10 +41,8 @@ def declared(concept: str) -> list[Kernel]:
 
 
 def bytes_per_item(kernel: Kernel, *, written: bool) -> str:
-    """Bytes read or written per element of ``kernel.over``; arrays count once, an axis's name means its length.
-
-    Tables that share no axis with ``over``, or only some of its axes, are listed by name.
-    """
+    """Bytes read or written per element of ``kernel.over``; arrays count once, an axis's name means its length."""
+    # Tables that share no axis with ``over``, or only some of its axes, are listed by name.
     items = _axes(kernel.arguments[kernel.over])
     terms: dict[str, int] = {}
     tables: list[str] = []

@@ -1,10 +1,4 @@
-"""Dual variables of a dose, raised until no pixel gains: a certificate that no light has a wider process window.
-
-Dual variables bound the window of any light if they are feasible: every pixel costs at least as much as it gains. Those
-of an unfinished run are infeasible at some pixels. A cover raises them: it is the dose of light on the infeasible
-pixels, which costs these pixels most. That light grows where the cover is too low, and the cover is scaled until it
-suffices for all pixels.
-"""
+"""Dual variables of a dose, raised until no pixel gains: a certificate that no light has a wider process window."""
 
 from __future__ import annotations
 
@@ -23,10 +17,8 @@ NEVER = 1e30
 def divide_prices(
     lower: Array, upper: Array, target: Array, inside: Real, outside: Real, paid: ArrayOut, cost: ArrayOut
 ) -> None:
-    """paid = inside·lower in the part, 0 outside; cost = inside·upper in the part, outside·lower outside.
-
-    Dual variables below 0 count as 0; see `vamgpu.kernels.pdhg.dual_step` for lower and upper.
-    """
+    """paid = inside·lower in the part, 0 outside; cost = inside·upper in the part, outside·lower outside."""
+    # Dual variables below 0 count as 0; see `vamgpu.kernels.pdhg.dual_step` for lower and upper.
     part = target >= 0.5
     paid[...] = np.where(part, inside * np.maximum(lower, 0.0), 0.0)
     cost[...] = np.where(part, inside * np.maximum(upper, 0.0), outside * np.maximum(lower, 0.0))

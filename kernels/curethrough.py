@@ -1,12 +1,4 @@
-"""Dose that light leaves while a print rises; for gray levels that keep it inside the part, see `levels`.
-
-Slices are counted in the order of exposure, slice n from ζ = n to n + 1 (ζ in slice heights from the platform), and the
-dose Ω at ζ = n is what slices n, n + 1, … leave there. It is computed from the last slice to the first (Pritchard et
-al. 2019, eq. S14): Ω ← Ω + light[level] − decay·Ω, decay = 1 − 10^−η. A column's state contains all that it needs from
-later slices; a stack therefore passes in blocks of at most 32 slices, the last block first.
-
-A sum over thousands of slices loses digits in float32; the state keeps the rounding error of the last sum beside Ω.
-"""
+"""Dose that light leaves while a print rises; for gray levels that keep it inside the part, see `levels`."""
 
 from __future__ import annotations
 
@@ -61,11 +53,9 @@ def pack_slices(levels: Slices, threshold: Integer, block: Integer, words: Words
 def expose_slices(
     levels: Slices, light: Light, decay: Real, part: Real, fade: Real, state: Pair, doses: Kept, peaks: Peaks
 ) -> None:
-    """Ω of a block's slices, and the state of the next block.
-
-    light: dose that a slice of each level adds. doses: of the first ``kept`` slices, (Ω beyond the slice + part · its
-    change) · fade, which is Ω between borders. peaks: greatest Ω at a border.
-    """
+    """Ω of a block's slices, and the state of the next block."""
+    # light: dose that a slice of each level adds. doses: of the first ``kept`` slices, (Ω beyond the slice + part · its
+    # change) · fade, which is Ω between borders. peaks: greatest Ω at a border.
     peak = np.zeros(levels.shape[1:])
     for n in range(len(levels) - 1, -1, -1):
         change = light[levels[n]] - decay * state[0]
@@ -81,11 +71,9 @@ def judge_slices(
     levels: Slices, words: Words, block: Integer, light: Light, decay: Real, scale: Real, layered: Integer,
     critical: Real, state: Pair, heights: Pair, peaks: Peaks,
 ) -> None:  # fmt: skip
-    """heights += cured height of the void, and uncured height of the part, in slices, also between borders.
-
-    scale: minus the number of slices over which light falls by a factor e. layered: the dose at the border belongs to
-    the whole slice and decays towards the platform; otherwise it builds up from border to border.
-    """
+    """heights += cured height of the void, and uncured height of the part, in slices, also between borders."""
+    # scale: minus the number of slices over which light falls by a factor e. layered: the dose at the border belongs to
+    # the whole slice and decays towards the platform; otherwise it builds up from border to border.
     peak = np.zeros(levels.shape[1:])
     for n in range(len(levels) - 1, -1, -1):
         dose = state[0].copy()

@@ -1,14 +1,4 @@
-"""Signed depth of voxels' centers below the surface of a part, from the voxels' fractions, and doses by depth.
-
-The fraction of a partly filled voxel tells where the surface cuts it: at the plane, perpendicular to the local
-gradient, that fills this share of a cube (as in volume-of-fluid codes: D. L. Youngs, Numerical Methods for Fluid
-Dynamics (1982) 273). `cut_voxels` places this plane. `nearest_cut` finds the nearest such voxel of every voxel, by an
-exact Euclidean feature transform along one axis after another. `signed_depths` measures the distance from its plane,
-and `tally_depths` sorts doses by depth.
-
-Steps from a cut voxel are packed in one number: squared distance · `SIDE`³ + Σ (step + `FARTHEST`) · `SIDE`^axis, which
-float32 holds exactly. The smallest number has the smallest distance.
-"""
+"""Signed depth of voxels' centers below the surface of a part, from the voxels' fractions, and doses by depth."""
 
 from __future__ import annotations
 
@@ -50,10 +40,8 @@ ROWS = 4
 
 @kernel(over="place", reach="all", cpu=Tiling(major=1, minor=0))
 def cut_voxels(fraction: Fractions, place: VolumeOut, steps: VolumeOut) -> None:
-    """place = depth of a voxel's center behind the plane that cuts it, steps = 0 packed; `NO_CUT` if none does.
-
-    Both sides of a face between a full and an empty voxel are cut.
-    """
+    """place = depth of a voxel's center behind the plane that cuts it, steps = 0 packed; `NO_CUT` if none does."""
+    # Both sides of a face between a full and an empty voxel are cut.
     cut = (fraction > FULL) & (fraction < 1.0 - FULL)
     for axis in range(3):
         jump = np.moveaxis(np.abs(np.diff(fraction, axis=axis)) > 1.0 - 2.0 * FULL, axis, 0)
@@ -120,10 +108,8 @@ def nearest_cut(steps: Fractions, axis: Integer, span: Integer, nearest: VolumeO
 def signed_depths(
     fraction: Part, place: Part, steps: Part, first: Integer, lanes: Integer, reach: Real, pitch: Real, depth: DepthOut
 ) -> None:  # fmt: skip
-    """depth[x, y, z] = pitch · distance of slice first + z from the nearest piece of surface, > 0 in the part.
-
-    Distances end at ``reach`` [voxels].  lanes: of the fields' layout (0 if they are plain).
-    """
+    """depth[x, y, z] = pitch · distance of slice first + z from the nearest piece of surface, > 0 in the part."""
+    # Distances end at ``reach`` [voxels]. lanes: of the fields' layout (0 if they are plain).
     some = slice(int(first), int(first) + depth.shape[2])
     packed, inside = steps[:, :, some], fraction[:, :, some] >= HALF
     found = np.full(packed.shape, float(reach))
@@ -142,11 +128,9 @@ def tally_depths(
     dose: Array, depth: Array, ends: Ends, width: Real, rounding: Real, least: BinsOut, greatest: BinsOut,
     counts: CountsOut,
 ) -> None:  # fmt: skip
-    """Least dose and number of voxels in the part, and greatest dose outside, by steps of ``width`` of the distance.
-
-    The last bin of the three tables holds +∞, the greatest dose of all (NaN if one is not finite, −∞ without any) and
-    0; the one before it, all depths from the last step on.  rounding: added to distances, in steps.
-    """
+    """Least dose and number of voxels in the part, and greatest dose outside, by steps of ``width`` of the distance."""
+    # The last bin of the three tables holds +∞, the greatest dose of all (NaN if one is not finite, −∞ without any) and
+    # 0; the one before it, all depths from the last step on. rounding: added to distances, in steps.
     column, last = np.arange(dose.shape[1]), least.shape[1] - 2
     counted = (ends[:, :1] <= column) & (column < ends[:, 1:])
     counted = counted[..., None] & (depth > NO_DEPTH)

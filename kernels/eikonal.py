@@ -1,9 +1,4 @@
-"""Rays through a medium whose refractive index n varies: d²R/dt² = ½∇n²(R) with dt = ds/n, marched in equal steps of t.
-
-The heading T = dR/dt is the optical direction: along the ray, as long as the index. Three steppers: 0 is Sharma's
-Runge-Kutta-Nyström scheme of fourth order (Applied Optics 21, 984, 1982), 1 the symplectic leapfrog of second order,
-2 Yoshida's symplectic composition of three leapfrogs, of fourth order (Physics Letters A 150, 262, 1990).
-"""
+"""Rays through a medium whose refractive index n varies: d²R/dt² = ½∇n²(R) with dt = ds/n, in equal steps of t."""
 
 from __future__ import annotations
 
@@ -35,11 +30,9 @@ def march_formula(
     starts: Starts, formula: Formula, region: Region, step: Real, steps: Integer, scheme: Integer, every: Integer,
     ends: Ends, path: Path, times: Times,
 ) -> None:  # fmt: skip
-    """March rays through n² = P(s)/Q(s) until they leave the region, at most ``steps`` steps.
-
-    The last step is shortened to end on the border. path[ray, k] is the position after k·every steps, the last the end.
-    times: t at the border, or −1 for a ray that is still inside after the last step.
-    """
+    """March rays through n² = P(s)/Q(s) until they leave the region, at most ``steps`` steps."""
+    # The last step is shortened to end on the border. path[ray, k] is the position after k·every steps, the last the
+    # end. times: t at the border, or −1 for a ray that is still inside after the last step.
     march(lambda place: formula_at(formula, place), starts, region, step, steps, scheme, every, ends, path, times)
 
 

@@ -1,7 +1,4 @@
-"""Filtering of sinograms along r by a symmetric table of taps, plain and as the preconditioner of a step.
-
-A step that filters at the same time needs no array for the filtered gradient.
-"""
+"""Filtering of sinograms along r by a symmetric table of taps, plain and as the preconditioner of a step."""
 
 from __future__ import annotations
 
@@ -36,11 +33,9 @@ def filtered_step(
     gradient: Sinogram, taps: Taps, stride: Integer, step: Real, momentum: Real, light: SinogramInOut,
     ahead: SinogramInOut,
 ) -> None:  # fmt: skip
-    """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient); 0 where held.
-
-    Light is held if ahead ≤ 0 and the gradient does not increase it (`apply_penalty` leaves 0 there).
-    Then ahead = new + momentum·(new − light) and light = new. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372.
-    """
+    """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient); 0 where held."""
+    # Light is held if ahead ≤ 0 and the gradient does not increase it (`apply_penalty` leaves 0 there). Then ahead =
+    # new + momentum·(new − light) and light = new. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372.
     new = np.maximum(0.0, ahead - step * convolve(gradient, taps, stride))
     new[(ahead <= 0) & (gradient >= 0)] = 0.0
     ahead[...] = new + momentum * (new - light)

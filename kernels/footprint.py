@@ -1,16 +1,4 @@
-"""Forward and back projection with exact footprints: an entry is the light of a pixel averaged over a voxel's box.
-
-A pixel lights a box of ``fill`` columns, blurred by a Gaussian of ``sigma`` columns. A voxel, seen along the light, is
-a trapezoid: its square's two edges, laid along the gradient of the column map, are two boxes of widths a and b. The
-mean of the light over the voxel is therefore the convolution of three boxes with a Gaussian, which has a closed form: a
-sum of the third integral of the Gaussian over the eight corners of the boxes. Straight light is a map with the same
-gradient everywhere; for bent light, column, strength and gradient come from a map of one angle, which is made once.
-
-While the vial turns, the voxel's column moves steadily: one more box, of width c. The widest of a, b and c is kept, and
-one box with the variance of the other two replaces them.
-
-Lengths are in voxels, columns count from 0.
-"""
+"""Forward and back projection with exact footprints: an entry is the light of a pixel averaged over a voxel's box."""
 
 from __future__ import annotations
 
@@ -33,6 +21,16 @@ def middle(n: int) -> float:
     return 0.5 * (n - 1)
 
 
+def look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Linear interpolation of a table [across, along, :] about its middle, continued beyond its edge."""
+    across, along = across + middle(table.shape[0]), along + middle(table.shape[1])
+    i = np.clip(across.astype(int), 0, table.shape[0] - 2)
+    j = np.clip(along.astype(int), 0, table.shape[1] - 2)
+    a, b = (across - i)[..., None], (along - j)[..., None]
+    near, far = ((1 - b) * table[i + k, j] + b * table[i + k, j + 1] for k in (0, 1))
+    return (1 - a) * near + a * far
+
+
 TAIL, FAR = 2.75, 4.0
 """Least distance in σ, beyond the boxes and from the middle, at which light (about 1e-4 of a pixel's) is cut off."""
 FADE = 0.25
@@ -40,10 +38,8 @@ FADE = 0.25
 SHARP = 1e-3
 """Range in columns over which a share without blur fades out, where it is 0 anyway."""
 THINNEST, BLURRED = 0.05, 0.2
-"""Columns + share of sigma: a trapezoid's narrower side is widened to this, the other narrowed for the same variance.
-
-The sum over the corners cancels if a side is thin; a wider blur hides the thinness and makes this worse. In float32
-shares are off by 2e-5 of the greatest, and widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
+"""Columns + share of sigma: least width of a trapezoid's side; sums over corners cancel in float32 if it is thin.
+Shares are then off by 2e-5 of the greatest; widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
 GPU = {"SAMPLES": 128, "KEPT": 1024, "TURNS": 16}
 """Numbers of samples for which a tile, and a group, keeps shares at a time; most angles or planes that they span."""
 TAIL_SERIES = (9.973836443e-02, 2.202380776e-02, 3.491863407e-03, 2.423642034e-04, 7.122526186e-05)
@@ -75,8 +71,7 @@ def exposed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np
 
 def share(distance: np.ndarray, a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.ndarray:
     """Mean over a voxel of the light of a pixel ``distance`` columns off; sums to 1 over pixels."""
-    # All in columns: a and b are widths of the trapezoid's boxes, fill that of a pixel's lit box, sigma the point
-    # spread's.
+    # In columns; a, b: widths of the trapezoid's boxes, fill: of a pixel's lit box, sigma: of the point spread.
     a, b = sides(a, b, sigma)
     total = np.zeros(np.broadcast(distance, a).shape)
     for x, sign in ((distance + 0.5 * fill, 1.0), (distance - 0.5 * fill, -1.0)):
@@ -104,12 +99,7 @@ def _matrix(
     x, y = x[:, None], y[None, :]
     lateral, depth = y * c - x * s, -(x * c + y * s)
     if bent:
-        across, along = lateral + middle(light.shape[0]), depth + middle(light.shape[1])
-        i = np.clip(across.astype(int), 0, light.shape[0] - 2)
-        j = np.clip(along.astype(int), 0, light.shape[1] - 2)
-        p, q = (across - i)[..., None], (along - j)[..., None]
-        near, far = (light[i + k, j] + q * (light[i + k, j + 1] - light[i + k, j]) for k in (0, 1))
-        u, weight, g, h = np.moveaxis(near + p * (far - near), -1, 0)
+        u, weight, g, h = np.moveaxis(look_up(light, lateral, depth), -1, 0)
     else:
         u = lateral * ratio + middle(columns)
         weight, g, h = np.full(u.shape, strength), np.full(u.shape, ratio), np.zeros(u.shape)
@@ -134,11 +124,8 @@ def forward_footprint(
     volume: Volume, directions: Directions, light: Map, edges: Edges, bent: Integer, ratio: Real, strength: Real,
     fill: Real, sigma: Real, radius: Real, taps: Integer, cells: Integer, sinogram: SinogramOut,
 ) -> None:  # fmt: skip
-    """The transpose of `back_footprint`: every voxel adds to the columns that light it.
-
-    edges bound the range of a column's light; a GPU can then gather along the ray instead: ``cells`` is the greatest
-    number of cells of a plane for four neighboring columns.
-    """
+    """The transpose of `back_footprint`: every voxel adds to the columns that light it."""
+    # A GPU gathers along the ray, between the edges; cells: most cells of a plane for four neighboring columns.
     columns, slices = sinogram.shape[1:]
     for angle, direction in enumerate(directions):
         pose = _matrix(volume.shape, columns, direction, light, bent, ratio, strength, fill, sigma, radius)
@@ -155,12 +142,10 @@ def back_footprint(
     sinogram: Sinogram, directions: Directions, light: Map, bent: Integer, ratio: Real, strength: Real, fill: Real,
     sigma: Real, radius: Real, taps: Integer, volume: VolumeOut,
 ) -> None:  # fmt: skip
-    """volume[x, y, z] = Σ over angles and columns of the column's light, averaged over the voxel, × the sinogram there.
-
-    bent: 0 for straight light, with ``ratio`` columns per voxel and ``strength`` everywhere; 1 for light from the table
-    ``light``, with at most ``ratio`` columns per voxel. fill, sigma: of a pixel and of its point spread [columns].
-    Voxels beyond ``radius`` voxels from the axis get nothing. taps: greatest number of columns that light a voxel.
-    """
+    """volume[x, y, z] = Σ over angles and columns of the column's light, averaged over the voxel, × the sinogram."""
+    # bent: 0 for straight light, ``ratio`` columns per voxel, ``strength`` everywhere; 1 for light from the table
+    # ``light``, at most ``ratio`` columns per voxel. fill, sigma: of a pixel and its point spread [columns]. Voxels
+    # beyond ``radius`` voxels from the axis get nothing. taps: most columns that light a voxel.
     volume[...] = 0.0
     for angle, direction in enumerate(directions):
         pose = _matrix(volume.shape, sinogram.shape[1], direction, light, bent, ratio, strength, fill, sigma, radius)

@@ -1,9 +1,4 @@
-"""Histograms and extremes of a field, split into two classes by a second field, for the whole or slice by slice.
-
-Every work item counts its own rows and slices into its own table, without conflicts; a fold adds the tables. Class 1
-("in") has the samples whose ``target`` is at least ``level``, class 0 ("out") all others except those below ``level``
-and `NO_CLASS`; only columns within ``radius`` samples of the axis through the middle are counted.
-"""
+"""Histograms and extremes of a field, split into two classes by a second field, for the whole or slice by slice."""
 
 from __future__ import annotations
 
@@ -11,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.footprint import middle
+from vamgpu.kernels.pointwise import near_axis
 from vamgpu.kernels.signature import Array, Real, Table, Tiling, kernel
 
 Ranges = Annotated[np.ndarray, Table("float32", ("slice", "2", "3"))]
@@ -33,8 +28,7 @@ GPU = Tiling(major=GPU_ROWS, minor=0, group=(8, 8))
 
 def _members(target: np.ndarray, level: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Boolean [i, j, z] of the two classes."""
-    i, j = (np.arange(n) - middle(n) for n in target.shape[:2])
-    counted = (i[:, None] ** 2 + j[None, :] ** 2 <= radius**2)[..., None]
+    counted = near_axis(target, radius)
     return counted & ~(target >= level) & (target >= NO_CLASS), counted & (target >= level)
 
 

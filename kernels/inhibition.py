@@ -1,17 +1,4 @@
-"""Photoinhibition of every voxel by a short run of angles, in closed form, and its exact adjoint.
-
-Concentrations are shares of [A]₀, exposures shares of the induction. A step is split symmetrically (Strang): half the
-ultraviolet, half the pairing, all of the visible light, half the pairing, half the ultraviolet. Each piece is solved
-exactly: nothing goes below 0, [B] + 2[C] changes only by the B that visible light consumes, and X − [A] − [B]/α rises
-by the visible exposure, up to rounding.
-
-Eqs 5-6 of the paper on binary photoinhibition are not smooth where [A] + [B] = 0. In this model, radicals are divided
-among A, B and a floor ε, the monomer: d[A]/dv = −[A]/([A] + [B] + ε), d[B]/dv = −α[B]/(…), and X, the monomer's share,
-rises by ε/(…). ε → 0 gives eqs 5-6, with X the exposure after the event.
-
-Without B and C, a falls to the root u of u + ε·ln u = a + ε·ln a − v after an exposure v. It is Wright's ω, which a
-formula and two steps of fourth order give (F. N. Fritsch et al., Commun. ACM 16 (1973) 123).
-"""
+"""Photoinhibition of every voxel by a short run of angles, in closed form, and its exact adjoint."""
 
 from __future__ import annotations
 
@@ -31,11 +18,8 @@ Part = Annotated[np.ndarray, Field(("pose", "r", "z"))]
 
 
 def depletion_substep(a: np.ndarray, b: np.ndarray, v: np.ndarray, alpha: float, floor: float) -> np.ndarray:
-    """h with a(1 − e^−h) + b(1 − e^−αh)/α + floor·h = v: A decays to e^−h while v arrives.
-
-    Both initial bounds lie below the root of this concave function; Newton's method therefore rises to it. The error
-    after a step is about its square.
-    """
+    """h with a(1 − e^−h) + b(1 − e^−αh)/α + floor·h = v: A decays to e^−h while v arrives."""
+    # The function is concave and both first bounds lie below its root: Newton's method rises to it.
     h = np.maximum(v / (a + b + floor), (v - a - b / alpha) / floor)
     for _ in range(MOST):
         left, kept = np.exp(-h), np.exp(-alpha * h)
@@ -52,12 +36,9 @@ def inhibition_step(
     pairing: Real, floor: Real, a: Array, b: Array, c: Array, x: Array,
     a_end: ArrayOut, b_end: ArrayOut, c_end: ArrayOut, x_end: ArrayOut,
 ) -> None:  # fmt: skip
-    """The state after a step; output arrays may be the input arrays.
-
-    visible, ultraviolet: exposures.  The share of A's induction that arrives is visible_gain·visible +
-    cross_gain·ultraviolet; ultraviolet light splits the share 1 − exp(−ultraviolet_gain·ultraviolet) of C. pairing:
-    k₂·[A]₀·time.
-    """
+    """The state after a step; output arrays may be the input arrays."""
+    # visible, ultraviolet: exposures. v: share of A's induction that arrives. Each half of the ultraviolet light leaves
+    # the share ``kept`` of C. pairing: k₂·[A]₀·time.
     v = visible_gain * visible + cross_gain * ultraviolet
     kept = np.exp(-0.5 * ultraviolet_gain * ultraviolet)
     b1, c1 = b + 2.0 * c * (1.0 - kept), c * kept
@@ -80,10 +61,7 @@ def inhibition_adjoint(
     a_slope: ArrayInOut, b_slope: ArrayInOut, c_slope: ArrayInOut,
     visible_slope: ArrayInOut, ultraviolet_slope: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Replace derivatives with respect to the state after a step (a, b, c) by those with respect to the state before.
-
-    Derivatives with respect to exposures are added to visible_slope and ultraviolet_slope; that for X does not change.
-    """
+    """Replace derivatives by the state after a step (a, b, c) by those by the state before; add those by exposures."""
     v = visible_gain * visible + cross_gain * ultraviolet
     kept = np.exp(-0.5 * ultraviolet_gain * ultraviolet)
     b1, c1 = b + 2.0 * c * (1.0 - kept), c * kept

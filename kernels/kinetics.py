@@ -1,11 +1,4 @@
-"""Photoinhibition by two inhibitors: visible light uses up A and B, B recombines to C, UV splits C into B.
-
-d[A]/dt = −a·[A]/([A] + [B]),  d[B]/dt = −b·[B]/([A] + [B]) + 2p − 2k₂[B]²,  d[C]/dt = −p + k₂[B]², with a = k_A·I_vis,
-b = k_B·I_vis and p = k_C·I_UV, either as it is (order 0, while there is C) or times [C]/[C]_ref (order 1).
-Each item takes its own steps, of the Rosenbrock method Rodas3 (order 3, stiffly accurate; Sandu et al., Atmospheric
-Environment 31, 3459, 1997), with the Jacobian in closed form. Linear invariants are kept up to rounding; [B] + 2[C] +
-(k_B/k_A)·[A] therefore falls by k_B times the visible dose exactly.
-"""
+"""Photoinhibition by two inhibitors: visible light uses up A and B, B recombines to C, UV splits C into B."""
 
 from __future__ import annotations
 
@@ -41,38 +34,34 @@ def inhibit(
     before: Before, rates: Rates, light: Light, lengths: Lengths, first: Integer, count: Integer, every: Integer,
     tolerance: Real, after: After, path: Path, times: Times,
 ) -> None:  # fmt: skip
-    """Advance items through ``count`` intervals of constant light, from ``first`` on, cyclically.
-
-    Items are in equal runs of one resin each: item i has resin i·resins // items, and source i % sources of light.
-    path[i, k] is the state after k·every intervals. times: when [A] + [B] reached 1e-6 of the scale, after which A and
-    B stay 0 and C and the dose do not change; −1 if it did not, −2 if the steps did not converge. tolerance: of a step,
-    in the scale.
-    """
+    """Advance items through ``count`` intervals of constant light, from ``first`` on, cyclically."""
+    # Items are in equal runs of one resin each, with the sources of light in turn. path[i, k]: after k·every intervals.
+    # times: when [A] + [B] reached `DEPLETED` of the scale, after which A and B stay 0 and C and the dose do not
+    # change; −1 if it did not, −2 if the steps did not converge. tolerance: of a step, in the scale.
     items, intervals = len(before), len(lengths)
     own = rates[np.arange(items) * len(rates) // items]
     source = np.arange(items) % len(light)
-    state, dose, clock = before[:, :3].copy(), before[:, 3].copy(), 0.0
+    state, clock = before.copy(), 0.0
     times[...] = np.where(state[:, 0] + state[:, 1] <= DEPLETED * own[:, 4], 0.0, NEVER)
     state[times == 0.0, :2] = 0.0
     trial = np.full(items, np.inf)
-    path[:, 0, :3], path[:, 0, 3] = state, dose
+    path[:, 0] = state
     for k in range(int(count)):
         now = (int(first) + k) % intervals
         live = np.flatnonzero(times == NEVER)
         lit = light[source[live], now]
-        state[live], spent, trial[live], failed = _interval(
-            state[live], own[live], lit, float(lengths[now]), trial[live], float(tolerance)
+        state[live, :3], spent, trial[live], failed = _interval(
+            state[live, :3], own[live], lit, float(lengths[now]), trial[live], float(tolerance)
         )
         done = state[live, 0] + state[live, 1] == 0.0
         times[live[done]] = clock + spent[done]
         times[live[failed]] = UNSETTLED
-        dose[live] += lit[:, 0] * spent
+        state[live, 3] += lit[:, 0] * spent
         clock += float(lengths[now])
         if (k + 1) % every == 0 and (k + 1) // every < path.shape[1]:
-            path[:, (k + 1) // every, :3], path[:, (k + 1) // every, 3] = state, dose
-    for row in range(int(count) // int(every) + 1, path.shape[1]):
-        path[:, row, :3], path[:, row, 3] = state, dose
-    after[:, :3], after[:, 3] = state, dose
+            path[:, (k + 1) // every] = state
+    path[:, int(count) // int(every) + 1 :] = state[:, None]
+    after[...] = state
 
 
 class _Terms(NamedTuple):

@@ -7,13 +7,12 @@ from typing import Annotated
 import numpy as np
 
 from vamgpu.kernels.curethrough import BITS, Counts, Light, Words, add, in_strips
+from vamgpu.kernels.pack import START_R, START_Z
 from vamgpu.kernels.signature import Integer, Real, Table, kernel
 
 BEYOND = 1 << 20
 """Number of slices to an edge that is out of sight."""
 NEVER = 1e30
-START_X, START_Y = 0.7548776662466927, 0.5698402909980532
-"""Powers of the inverse plastic number: their multiples fill the unit square evenly (M. Roberts' R2 sequence)."""
 
 SlicesOut = Annotated[np.ndarray, Table("uint8", ("slice", "y", "x"), writes=True)]
 First = Annotated[np.ndarray, Table("uint8", ("bin",))]
@@ -48,19 +47,16 @@ def correct_slices(
     back: Back, platform: Integer, reached: Real, opened: Real, spread: Real, state: State, flaws: Flaws,
     levels: SlicesOut, missed: Counts,
 ) -> None:  # fmt: skip
-    """Choose levels that bring Ω as close to its target at every border as light can, given the Ω of later slices.
-
-    inner: target of Ω inside a feature, by slices since its back side and slices until its front.  back: target in the
-    void behind a feature, by slices until its back side. The last entries hold for all slices beyond. edges: light
-    midway between a level and the next; first: least level in each of evenly spaced bins of light, ``bins`` per unit.
-    flaws[0] counts features whose back side has less than ``reached``, flaws[1] voids that never fell to ``opened``;
-    missed sums the former. spread: light by which neighbors aim higher or lower; 0 rounds. platform: a feature that
-    begins with the first slice ends at the platform, and nothing above it can be cured through.
-    """
+    """Choose levels that bring Ω as close to its target at every border as light can, given the Ω of later slices."""
+    # inner: target of Ω in a feature, by slices since its back side until its front; back: in the void behind it, by
+    # slices until its back side; the last entries hold beyond. edges: light midway between levels; first: least level
+    # in each of even bins of light, ``bins`` per unit. flaws: of features whose back side has less than ``reached``
+    # (missed sums them), and voids that never fell to ``opened``. spread: light by which neighbors aim higher or lower.
+    # platform: features that begin with the first slice end there, and nothing above them can be cured through.
     to_void, to_solid = ahead(words, block, platform)
     word = words[block % len(words)]
     rows, columns = np.meshgrid(*(np.arange(n) for n in word.shape), indexing="ij")
-    shift = spread * ((rows * START_Y + columns * START_X) % 1.0 - 0.5)
+    shift = spread * ((rows * START_Z + columns * START_R) % 1.0 - 0.5)
     runs = np.empty((len(levels), *word.shape), int)
     run, before = np.zeros(word.shape, int), np.zeros(word.shape, np.uint32)
     for n in range(len(levels)):

@@ -1,10 +1,4 @@
-"""Losses of a dose, voxel by voxel, and their derivatives.
-
-`band_loss` measures how far a dose lies outside the band that the target sets. Source: the band constraint Lp norm,
-C. C. Li et al., Additive Manufacturing (2024) 104447. With wide bands and the identity as response, it is the
-two-threshold loss. `sampled_loss` computes any loss of a dose, given by samples of it. `ramp_loss` is the two-threshold
-loss whose thresholds ramp across the surface of the part; `dark_loss` is that of resin outside the part.
-"""
+"""Losses of a dose, voxel by voxel, and their derivatives."""
 
 from __future__ import annotations
 
@@ -25,13 +19,9 @@ def band_loss(
     low: Real, high: Real, slack_low: Real, slack_high: Real, gain_low: Real, gain_high: Real, power: Real, ridge: Real,
     binary: Integer, reach: Real, parts: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·e^p + ridge·M² with e = max(0, |M − c| − ε); dose becomes ∂(Σ parts)/∂dose.
-
-    M = response(dose), sampled from ``start`` on with ``density`` samples per unit, and straight beyond its ends. c =
-    low + (high − low)·f; ε and the gain in w vary from their low to their high value in the same way. f is the target,
-    or with ``binary`` whether it is at least one half. w = gain · weight (if ``weighted``), and 0 farther than
-    ``reach`` samples from the axis.
-    """
+    """Σ parts = Σ w·e^p + ridge·M² with e = max(0, |M − c| − ε); dose becomes ∂(Σ parts)/∂dose."""
+    # M = response(dose), sampled as in `look_up`. c = low + (high − low)·f, and so are ε and the gain in w; f is the
+    # target, or with ``binary`` whether it is at least one half. w = gain·weight (if ``weighted``), 0 beyond ``reach``.
     f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
     value, slope = look_up(dose, response, start, density)
     difference = value - (low + (high - low) * f)
@@ -51,11 +41,8 @@ def sampled_loss(
     dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outer: Response, inner: Response, start: Real,
     density: Real, binary: Integer, reach: Real, parts: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·((1 − f)·outer(dose) + f·inner(dose)); dose becomes ∂(Σ parts)/∂dose.
-
-    Both are sampled like a response. f is the target, or with ``binary`` whether it is at least one half; w = weight if
-    ``weighted``, else 1, and 0 farther than ``reach`` samples from the axis.
-    """
+    """Σ parts = Σ w·((1 − f)·outer(dose) + f·inner(dose)); dose becomes ∂(Σ parts)/∂dose."""
+    # Both are sampled like a response; f and w are those of `band_loss`, with a gain of 1.
     f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
     near, gain = near_axis(dose, reach), weight if weighted else 1.0
     value, slope = look_up(dose, outer, start, density)
@@ -69,13 +56,11 @@ def ramp_loss(
     dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outside: Real, inside: Real, most: Real,
     hold: Integer, reach: Real, parts: Parts, slopes: Parts, bends: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·e²/2; dose becomes ∂(Σ parts)/∂dose, unless ``hold``.
-
-    target: 0 one width outside the surface, 1 one width inside it, linear between. The threshold is t = outside +
-        (inside − outside)·target. For a target of at least one half, e is the amount by which a dose is below t or
-        above ``most``; otherwise by which it is above t. w = weight if ``weighted``, else 1, and 0 beyond ``reach``.
-    Σ slopes, Σ bends: first and second derivative as inside and most rise and outside falls by as much.
-    """
+    """Σ parts = Σ w·e²/2; dose becomes ∂(Σ parts)/∂dose, unless ``hold``."""
+    # target: 0 one width outside the surface, 1 one width inside it, linear between. The threshold is t = outside +
+    # (inside − outside)·target. For a target of at least one half, e is the amount by which a dose is below t or above
+    # ``most``; otherwise by which it is above t. w = weight if ``weighted``, else 1, and 0 beyond ``reach``. Σ slopes,
+    # Σ bends: first and second derivative as inside and most rise and outside falls by as much.
     rise, part, off = 2.0 * target - 1.0, target >= 0.5, dose - (outside + (inside - outside) * target)
     short = np.where(part, np.minimum(off, 0.0), np.maximum(off, 0.0))
     over = np.where(part, np.maximum(dose - most, 0.0), 0.0)
@@ -90,10 +75,8 @@ def ramp_loss(
 
 @pointwise(over="dose")
 def dark_loss(dose: ArrayInOut, weight: Weights, most: Real, parts: Parts) -> None:
-    """Σ parts = Σ w·e²/2 with e = max(0, dose − most); dose becomes ∂(Σ parts)/∂dose.
-
-    weight: w of each row of samples.
-    """
+    """Σ parts = Σ w·e²/2 with e = max(0, dose − most); dose becomes ∂(Σ parts)/∂dose."""
+    # weight: w of each row of samples.
     over = np.maximum(dose - most, 0.0)
     slope = weight[:, None] * over
     add_up(parts, 0.5 * slope * over)

@@ -1,13 +1,4 @@
-"""The co-rotating medium, and rays that march through it.
-
-The medium has a refractive index, an extinction and opaque inserts, all of which turn with the resin.
-
-d²R/dt² = ½∇n² with dt = ds/n, stepped by the Runge-Kutta-Nyström rule of fourth order of A. Sharma, D. Kumar &
-A. Ghatak, Appl. Opt. 21 (1982) 984; the field at the predicted end of a step, which is a third-order distance from the
-true end, also begins the next step. Lengths are in voxels and indices relative to the bath; the parameter of a ray is
-then its length where the index is that of the bath. Light lost in a step goes to the voxels around the middle of the
-step, by their bilinear or trilinear weights.
-"""
+"""The co-rotating medium, and rays that march through it."""
 
 from __future__ import annotations
 
@@ -39,10 +30,8 @@ def march(
     medium: np.ndarray, starts: np.ndarray, directions: np.ndarray, top: float, step: float, most: int, kind: int,
     left: np.ndarray,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:  # fmt: skip
-    """Rays that still travel (flat index over angle and ray), middles of their steps (index of x, y, z), weights.
-
-    Sets ``left`` to −1 for rays that still travel after ``most`` steps.
-    """
+    """Rays that still travel (flat index over angle and ray), middles of their steps (index of x, y, z), weights."""
+    # Sets ``left`` to −1 for rays that still travel after ``most`` steps.
     high = np.array([medium.shape[0] - MARGIN - 1.0, medium.shape[1] - MARGIN - 1.0, top])
     position, heading, light, inside = enter(medium, starts, directions, high)
     ray = np.flatnonzero(inside)

@@ -1,8 +1,4 @@
-"""Forward and back projection of light that also moves along the axis: cones, inclined light, a wobbling axis.
-
-As in `footprint`, a table of one angle tells which ray lights a point in fixed coordinates. Here it also gives the row:
-an offset, and rows per slice. Each angle has its own position of the axis. The two directions are exact transposes.
-"""
+"""Forward and back projection of light that also moves along the axis: cones, inclined light, a wobbling axis."""
 
 from __future__ import annotations
 
@@ -11,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.footprint import Edges, middle
+from vamgpu.kernels.footprint import Edges, look_up, middle
 from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
 
 Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]
@@ -23,10 +19,8 @@ Slices = Annotated[np.ndarray, Field(("x", "y", "slice"))]
 
 
 def even(stretch: np.ndarray) -> np.ndarray:
-    """Height in rows of slices that are ``stretch`` rows apart: the multiple of it closest to one, or more.
-
-    Slices whose height is a whole multiple of their distance divide every row evenly, for any distance.
-    """
+    """Height in rows of slices that are ``stretch`` rows apart: the multiple of it closest to one, or more."""
+    # Slices whose height is a whole multiple of their distance divide every row evenly, for any distance.
     return stretch * np.maximum(1.0, np.floor(1.0 / stretch + 0.5))
 
 
@@ -34,14 +28,8 @@ def _looked_up(shape: tuple[int, ...], pose: np.ndarray, light: np.ndarray) -> n
     """(nx, ny, 4): the map at every voxel of a plane, continued linearly beyond its edge."""
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
     c, s, shift_x, shift_y = pose
-    across = y[None, :] * c - x[:, None] * s + shift_x + middle(light.shape[0])
-    along = -(x[:, None] * c + y[None, :] * s) + shift_y + middle(light.shape[1])
-    i = np.clip(across.astype(int), 0, light.shape[0] - 2)
-    j = np.clip(along.astype(int), 0, light.shape[1] - 2)
-    a, b = (across - i)[..., None], (along - j)[..., None]
-    near = (1 - b) * light[i, j] + b * light[i, j + 1]
-    far = (1 - b) * light[i + 1, j] + b * light[i + 1, j + 1]
-    return (1 - a) * near + a * far
+    across, along = y[None, :] * c - x[:, None] * s, -(x[:, None] * c + y[None, :] * s)
+    return look_up(light, across + shift_x, along + shift_y)
 
 
 def _taps(position: np.ndarray, width: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -76,8 +64,7 @@ def forward_oblique(
     """The transpose of `back_oblique`. edges bound the range of a column's light; lanes: of the volume's layout."""
     sinogram[...] = 0.0
     for angle, pose in enumerate(poses):
-        size = (width, radius)
-        for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, size):
+        for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, (width, radius)):
             np.add.at(sinogram[angle], (column, row), weight * volume)
 
 
@@ -85,13 +72,10 @@ def forward_oblique(
 def back_oblique(
     sinogram: Images, poses: Poses, light: Rays, width: Real, radius: Real, lanes: Integer, volume: VolumeOut,
 ) -> None:  # fmt: skip
-    """volume[x, y, z] = Σ over angles of the strength of the light there × the pixels around the ray that lights it.
-
-    A voxel is ``width`` ≥ 1 columns wide and `even` rows high, and pixels count by their overlap with it. Voxels beyond
-    ``radius`` voxels from the axis get nothing. lanes: of the sinogram's layout (0 if it is plain).
-    """
+    """volume[x, y, z] = Σ over angles of the strength of the light there × the pixels around the ray that lights it."""
+    # A voxel is ``width`` ≥ 1 columns wide and `even` rows high, and pixels count by their overlap with it. Voxels
+    # beyond ``radius`` voxels from the axis get nothing. lanes: of the sinogram's layout (0 if it is plain).
     volume[...] = 0.0
     for angle, pose in enumerate(poses):
-        size = (width, radius)
-        for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, size):
+        for column, row, weight in _struck(volume.shape, sinogram.shape, pose, light, (width, radius)):
             volume += weight * sinogram[angle][column, row]

@@ -1,9 +1,4 @@
-"""Light to frames and back: count values, choose gray levels, fold bits, and compute the light of the mirrors.
-
-A frame is an image ``[row, column]`` of one angle: row 0 shows the largest z and column 0 the smallest r, before flips.
-A frame may be displaced by ``shift`` whole pixels plus a ``part`` of one. Frame pixel (r, z) then shows the light of
-(r − shift, z − shift), averaged over the beam pixels that it covers. Light displaced over an edge is lost.
-"""
+"""Light to frames and back: count values, choose gray levels, fold bits, and compute the light of the mirrors."""
 
 from __future__ import annotations
 
@@ -64,11 +59,9 @@ def count_light(
     sinogram: Sinogram, flat: Flat, shift_r: Integer, shift_z: Integer, part_r: Real, part_z: Real, flip_r: Integer,
     flip_z: Integer, drop: Integer, prefix: Integer, counts: Counts,
 ) -> None:  # fmt: skip
-    """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix followed by b.
-
-    drop: number of bits to the right of b's ten. Positive floats sort like their bits; three rounds find a quantile
-        to its last bit. Dark pixels are left out; values that are not finite are in bins 1020 to 1023 of round one.
-    """
+    """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix followed by b."""
+    # drop: number of bits to the right of b's ten. Positive floats sort like their bits; three rounds find a quantile
+    # to its last bit. Dark pixels are left out; values that are not finite are in bins 1020 to 1023 of round one.
     required = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
     with np.errstate(over="ignore"):
         bits = np.abs(required[~(required <= 0)]).astype(np.float32).view(np.uint32)
@@ -81,14 +74,10 @@ def quantize(
     sinogram: Sinogram, flat: Flat, curve: Curve, bounds: Bounds, gain: Real, shift_r: Integer, shift_z: Integer,
     part_r: Real, part_z: Real, flip_r: Integer, flip_z: Integer, carry: Real, images: ImagesOut,
 ) -> None:  # fmt: skip
-    """images = the level whose light ``curve[level]`` is nearest to gain · light / flat.
-
-    bounds: light above which each level is replaced by the next, midway between the two; `NEVER` after the last. carry:
-    0 rounds. Otherwise a pixel's excess or deficit at one angle is compensated at the next; carry is the largest step
-    between levels. Dose is a sum over angles: errors at one pixel cancel there, and pixels are independent of each
-    other. Neighbors start with different errors, which keeps them from flashing in step. Light below black or above
-    full-on cannot be shown and is not compensated.
-    """
+    """images = the level whose light ``curve[level]`` is nearest to gain · light / flat."""
+    # bounds: midway between each level and the next; `NEVER` after the last. carry: 0 rounds; the largest step between
+    # levels makes the next angle compensate a pixel's error, because dose is a sum over angles. Neighbors start with
+    # different errors and do not flash in step. Light that cannot be shown is not compensated.
     required = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
     required = np.clip(required, curve[0], curve[-1])
     rows, columns = np.meshgrid(*(np.arange(n) for n in images.shape[1:]), indexing="ij")
@@ -110,10 +99,8 @@ def unpack(
     images: Bytes, flat: Flat, curve: Curve, bits: Integer, scale: Real, shift_r: Integer, shift_z: Integer,
     part_r: Real, part_z: Real, flip_r: Integer, flip_z: Integer, light: SinogramOut,
 ) -> None:  # fmt: skip
-    """light = scale · flat · curve[level], moved back from where the frame's flips and shift put it.
-
-    bits: 8 if a byte is a level, 1 if it holds eight columns.
-    """
+    """light = scale · flat · curve[level], moved back from where the frame's flips and shift put it."""
+    # bits: 8 if a byte is a level, 1 if it holds eight columns.
     levels = images if bits == 8 else np.unpackbits(images, axis=-1, count=light.shape[1])
     shown = upright(scale * flat * curve[levels], flip_r, flip_z)
     light[...] = moved(shown, (shift_r, part_r), (shift_z, part_z), 1)

@@ -1,9 +1,4 @@
-"""Steps of PDHG on the window's linear program; see `vamgpu.methods.pdhg`.
-
-Source: A. Chambolle, T. Pock, J. Math. Imaging Vis. 40 (2011) 120, with the diagonal steps of T. Pock, A. Chambolle,
-ICCV (2011) 1762. A voxel is inside if its target is at least one half; voxels farther than ``reach`` samples from the
-axis do not count.
-"""
+"""Steps of PDHG on the window's linear program; see `vamgpu.methods.pdhg`."""
 
 from __future__ import annotations
 
@@ -17,11 +12,8 @@ from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real
 def primal_step(
     light: Array, columns: Array, step: Real, most: Real, ahead: ArrayInOut, after: ArrayOut, moved: Parts
 ) -> None:
-    """after = light − step·ahead / columns, clipped to 0…most, 0 where columns are 0; then ahead = 2·after − light.
-
-    ahead: the direction of descent.  columns: sum of a pixel's entries in all limits.
-    Σ moved = Σ columns·(after − light)².
-    """
+    """after = light − step·ahead / columns, clipped to 0…most, 0 where columns are 0; then ahead = 2·after − light."""
+    # ahead: direction of descent. columns: sums of pixels' entries in all limits. Σ moved = Σ columns·(after − light)².
     lit = columns > 0
     after[...] = np.where(lit, np.clip(light - step * ahead / np.where(lit, columns, 1.0), 0.0, most), 0.0)
     ahead[...] = 2.0 * after - light
@@ -34,13 +26,9 @@ def dual_step(
     lower: Array, upper: Array, lower_after: ArrayOut, upper_after: ArrayOut, inside: Parts, outside: Parts,
     moved: Parts, crossed: Parts,
 ) -> None:  # fmt: skip
-    """Multipliers of a dose: ``lower`` of ≥ least inside and ≤ leak outside, ``upper`` of ≤ 1 inside.
-
-    after = max(0, multiplier + step·excess / (rows + 1)) from the dose ahead; for ``upper`` only rows. rows: dose of
-    light 1 everywhere. Σ inside, Σ outside: of ``lower`` after, on either side. Σ moved: of squared differences times
-    the divisors of the steps. Σ crossed: of the change of (outside: lower, inside: upper − lower) times half of ahead −
-    held.
-    """
+    """Multipliers of a dose: ``lower`` of ≥ least inside and ≤ leak outside, ``upper`` of ≤ 1 inside."""
+    # rows: dose of light 1 everywhere. Σ inside, Σ outside: of ``lower`` after, on either side. Σ moved: of squared
+    # changes times the divisors of the steps. Σ crossed: of the change of `dual_dose` times half of ahead − held.
     near = near_axis(target, reach) & (rows > 0)
     part, weight = target >= 0.5, np.where(near, rows, 1.0)
     excess = np.where(part, least - ahead, ahead - leak)

@@ -1,10 +1,4 @@
-"""Photons that scatter in resin inside concentric faces, tallied on rings about the axis and along z.
-
-Only sums, products, quotients, square roots and comparisons of float32 move photons, none of them fused, and paths add
-up as whole numbers: results do not depend on the order of photons, and processors agree to the last bit. The random
-numbers of a photon are a function of its number, its segment and a seed: Philox4x32, seven rounds; J. K. Salmon, M. A.
-Moraes, R. O. Dror, D. E. Shaw, Proc. SC (2011) 16.
-"""
+"""Photons that scatter in resin inside concentric faces, tallied on rings about the axis and along z."""
 
 from __future__ import annotations
 
@@ -140,12 +134,10 @@ def photons(
     per_ring: Real, per_slice: Real, first: Integer, each: Integer, most: Integer, seed: Integer, absorbed: CountOut,
     escaped: CountOut, tally: Tally,
 ) -> None:  # fmt: skip
-    """Photons from number ``first`` on, ``each`` per item, through at most ``most`` segments each.
-
-    extinction: collisions per length; albedo: share of them after the first one that scatter.  per_ring, per_slice:
-    rings and slices in a length; per_slice is 0 for light that is the same at every height.  A photon begins with its
-    first collision, at a random height in a slice. Two points, half a segment apart, stand for each segment in resin.
-    """
+    """Photons from number ``first`` on, ``each`` per item, through at most ``most`` segments each."""
+    # extinction: collisions per length; albedo: share of them after the first one that scatter. per_ring, per_slice:
+    # rings and slices in a length; per_slice is 0 for light that is the same at every height. A photon begins with its
+    # first collision, at a random height in a slice. Two points, half a segment apart, stand for each segment in resin.
     rays, faces, cosines, ways = (np.asarray(table, F) for table in (rays, faces, cosines, ways))
     columns, count = rays.shape[:2]
     number = np.arange(absorbed.size * each)
@@ -158,7 +150,8 @@ def photons(
     p = np.stack([own[:, 0] + u[0] * t, own[:, 1] + u[1] * t, z + u[2] * t * F(per_slice)])
     u = scattered(u, bits[2], bits[3] >> np.uint32(22), cosines, ways)
     absorbed[...], escaped[...] = 0, np.bincount(item[weight <= 0], minlength=escaped.size)
-    sums, live = _number(tally), weight > 0
+    low, high = np.moveaxis(tally.astype(np.uint64), -1, 0)
+    sums, live = low + (high << np.uint64(32)), weight > 0
     for segment in range(1, most + 1):
         p, u, layer, weight, item, photon, column = (v[..., live] for v in (p, u, layer, weight, item, photon, column))
         if not photon.size:
@@ -182,11 +175,6 @@ def photons(
             counts += np.bincount(item[ends], minlength=counts.size).astype(np.uint32)
             live &= ~ends
     tally[..., 0], tally[..., 1] = sums & np.uint64(0xFFFFFFFF), sums >> np.uint64(32)
-
-
-def _number(tally: np.ndarray) -> np.ndarray:
-    """A tally as whole numbers of 64 bits."""
-    return tally[..., 0].astype(np.uint64) + (tally[..., 1].astype(np.uint64) << np.uint64(32))
 
 
 def _add(

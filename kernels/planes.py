@@ -1,8 +1,4 @@
-"""Frames in the form that mirrors load: in the order in which they are shown, masked by columns, as bit planes.
-
-A plane has rows from the top, and in a row eight columns per byte, the leftmost in the highest bit; bytes beyond the
-last column are 0. The planes of a frame are in order of decreasing weight, from that of 128 to that of 1.
-"""
+"""Frames in the form that mirrors load: in the order in which they are shown, masked by columns, as bit planes."""
 
 from __future__ import annotations
 
@@ -49,13 +45,9 @@ def strips_of(rows: int, width: int, strips: int) -> np.ndarray:
 def split_planes(
     images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, packed: Packed, sent: Sent
 ) -> None:  # fmt: skip
-    """packed = the bit planes of the 8-bit frames images[angle] & masks[bin], (angle, bin) = chosen[frame].
-
-    top, left: rows and columns of mirrors before the first of the frame, ≥ 0; all mirrors around it are dark. sent: sum
-    of the levels in each strip. Strips are equal runs of blocks of 64 columns, row by row, of a multiple of eight. If
-    there are more strips than rows, and a multiple of the blocks of a row, equal bands of rows are cut into blocks.
-    width: a multiple of 8.
-    """
+    """packed = the bit planes of the 8-bit frames images[angle] & masks[bin], (angle, bin) = chosen[frame]."""
+    # top, left: dark rows and columns of mirrors before the first of the frame. sent: sum of the levels in each of the
+    # strips (`strips_of`). width: a multiple of 8.
     frames, _, rows, width = packed.shape
     strips = sent.shape[1]
     strip = strips_of(rows, width, strips).ravel()
@@ -73,10 +65,8 @@ def split_planes(
 def pick_frames(
     images: Images, masks: Masks, chosen: Chosen, top: Integer, left: Integer, picked: Picked
 ) -> None:  # fmt: skip
-    """picked = images[angle] & masks[bin] with (angle, bin) = chosen[frame], byte by byte, and 0 around it.
-
-    Bytes are levels, or eight columns each for frames of one bit; left counts them.
-    """
+    """picked = images[angle] & masks[bin] with (angle, bin) = chosen[frame], byte by byte, and 0 around it."""
+    # Bytes are levels, or eight columns each for frames of one bit; left counts them.
     picked[...] = 0
     for frame, (angle, focus) in enumerate(chosen):
         put(picked[frame], images[angle] & masks[focus], top, left)

@@ -1,10 +1,4 @@
-"""The dose of frames in the resin, computed independently of the solver's operators.
-
-A pixel's light is spread once along z and once along r into fine bins. Rays traced through one angle give the bins
-between which the light lies that crosses a voxel; where caustics fold the light, one pair of bins for every fold
-(branch). While a frame is lit, both ends move uniformly from their positions before to those after. Fine voxels get the
-mean of the light between both ends, and part voxels the mean of fine ones.
-"""
+"""The dose of frames in the resin, computed independently of the solver's operators."""
 
 from __future__ import annotations
 
@@ -14,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from vamgpu.kernels.footprint import middle
+from vamgpu.kernels.footprint import look_up, middle
 from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
 
 Light = Annotated[np.ndarray, Field(("angle", "r", "row"))]
@@ -60,11 +54,9 @@ def spread_columns(spread: Rows, first: First, shares: ColumnShares, profile: Pr
 def expose_voxels(
     profile: Profile, poses: Poses, pose: Pose, scale: Real, single: Real, radius: Real, dose: VolumeOut
 ) -> None:
-    """dose[x, y, z] = Σ over arcs and branches of time × share × the mean light between two moving bins of the profile.
-
-    pose: of the fixed frame, samples ``1 / scale`` voxels apart about the axis. single: voxels this close to the axis
-    are only on the first branch. Voxels beyond ``radius`` voxels from the axis get nothing.
-    """
+    """dose[x, y, z] = Σ over arcs and branches of time × share × the mean light between two moving bins."""
+    # pose: of the fixed frame, samples ``1 / scale`` voxels apart about the axis. single: voxels this close to the axis
+    # are only on the first branch. Voxels beyond ``radius`` voxels from the axis get nothing.
     dose[...] = 0.0
     for angle, lit, bins, weights in spans(poses, pose, scale, single, radius, profile.shape, dose.shape[:2]):
         dose[lit] += sum(weight[:, None] * profile[angle, bin] for weight, bin in zip(weights.T, bins.T, strict=True))
@@ -82,7 +74,7 @@ def spans(
         for table, lit in zip(pose, reached, strict=True):
             across, along = (y[lit] * c - x[lit] * s) * scale, -(x[lit] * c + y[lit] * s) * scale
             ways = (-half, half) if half > 0 else (0.0,)
-            ends = np.stack([_look_up(table, across + h * along, along - h * across) for h in ways])
+            ends = np.stack([look_up(table, across + h * along, along - h * across) for h in ways])
             crossed = (ends[..., 1] > ends[..., 0]).any(axis=0)
             lit, ends = tuple(place[crossed] for place in lit), ends[:, crossed, :3]
             low, high, share = np.moveaxis(ends, -1, 0)
@@ -102,27 +94,13 @@ def _beyond(place: np.ndarray, edge: np.ndarray) -> np.ndarray:
     return np.where(low >= 0, (low * low + low * high + high * high) / 6.0, crossing)
 
 
-def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Linear interpolation of a table [across, along, :] about its middle."""
-    across, along = across + middle(table.shape[0]), along + middle(table.shape[1])
-    i = np.clip(across.astype(int), 0, table.shape[0] - 2)
-    j = np.clip(along.astype(int), 0, table.shape[1] - 2)
-    a, b = (across - i)[..., None], (along - j)[..., None]
-    near = (1 - b) * table[i, j] + b * table[i, j + 1]
-    return (1 - a) * near + a * ((1 - b) * table[i + 1, j] + b * table[i + 1, j + 1])
-
-
 @kernel(over="volume", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1, group=(64, 4)))
 def average_voxels(
     fine: Fine, taps: Taps, finer: Integer, corner_x: Integer, corner_y: Integer, first: Integer, volume: VolumeOut
 ) -> None:
-    """volume[x, y, first + level] = Σ taps[0, a] taps[1, b] fine[corner_x + f x + a, corner_y + f y + b, level].
-
-    f: ``finer``.
-
-    Other slices do not change. Values beyond ``fine`` count as 0. ``first`` and the number of levels are multiples of
-    the layout's lanes, which are those of the volume, unless the levels are all slices.
-    """
+    """volume[x, y, first + level] = Σ taps[0, a] taps[1, b] fine[corner_x + f x + a, corner_y + f y + b, level]."""
+    # f: ``finer``. Other slices do not change. Values beyond ``fine`` count as 0. ``first`` and the number of levels
+    # are multiples of the layout's lanes, which are those of the volume, unless the levels are all slices.
     u, v, levels = fine.shape
     nx, ny, nz = volume.shape
     count = min(levels, nz - first)

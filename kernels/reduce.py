@@ -1,7 +1,4 @@
-"""Sums, products and extremes of fields: one partial result per work item, folded to at most a few hundred.
-
-Partial results are float32 of short runs; the host adds the last few hundred in float64.
-"""
+"""Sums, products and extremes of fields: one partial result per work item, folded to at most a few hundred."""
 
 from __future__ import annotations
 
@@ -32,10 +29,8 @@ def partial_dot(a: Array, b: Array, parts: Parts) -> None:
 
 @pointwise(over="a")
 def partial_extent(a: Array, mask: Array, lower: Real, upper: Real, reach: Real, lows: Parts, highs: Parts) -> None:
-    """min lows and max highs = extremes of a where lower ≤ mask < upper, at most ``reach`` samples from the z axis.
-
-    Items without such a sample leave ±infinity.
-    """
+    """min lows and max highs = extremes of a where lower ≤ mask < upper, at most ``reach`` samples from the z axis."""
+    # Items without such a sample leave ±infinity.
     chosen = (mask >= lower) & (mask < upper) & near_axis(a, reach)
     keep_least(lows, np.where(chosen, a, np.inf))
     keep_most(highs, np.where(chosen, a, -np.inf))

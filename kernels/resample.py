@@ -21,10 +21,8 @@ Weights = Annotated[np.ndarray, Table("float32", ("z", "tap"))]
     constants={"cpu": {"SPAN": 256, "BESIDE": 8}, "gpu": {"QUADS": 8, "BESIDE": 4}},
 )
 def resample(source: Source, first: Firsts, weights: Weights, lanes: Integer, target: ArrayOut) -> None:
-    """target[i, j, z] = Σ_k weights[z, k] · source[i, j, first[z] + k]; values beyond the source are 0.
-
-    lanes: of the source's layout (0 if it is plain).
-    """
+    """target[i, j, z] = Σ_k weights[z, k] · source[i, j, first[z] + k]; values beyond the source are 0."""
+    # lanes: of the source's layout (0 if it is plain).
     matrix = np.zeros((source.shape[2], target.shape[2]))
     for k in range(weights.shape[1]):
         inside = np.flatnonzero((first + k >= 0) & (first + k < source.shape[2]))

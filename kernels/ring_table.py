@@ -1,8 +1,4 @@
-"""The table of a projection on rings: the light of one pose on the rings, by angular frequency.
-
-`ring_pose` samples the light of one pose in `ROWS` rings, `fourier` transforms it over the turn, `ring_entries` writes
-the result into the table, and `ring_coefficients` turns its samples into coefficients of splines.
-"""
+"""The table of a projection on rings: the light of one pose on the rings, by angular frequency."""
 
 from __future__ import annotations
 
@@ -37,10 +33,8 @@ Peaks = Annotated[np.ndarray, Table("float32", ("frequency", "tile", "block"), w
 def ring_pose(
     feet: Feet, first: Integer, columns: Integer, factor: Real, fill: Real, sigma: Real, pose: PoseOut
 ) -> None:  # fmt: skip
-    """pose[angle, cell, z] = Σ over parts of the cell of strength × share of column first + z; 0 from ``columns`` on.
-
-    factor: of the first column.  fill, sigma: of a pixel and of its point spread [columns].
-    """
+    """pose[angle, cell, z] = Σ over parts of the cell of strength × share of column first + z; 0 from ``columns``."""
+    # factor: of the first column. fill, sigma: of a pixel and of its point spread [columns].
     column = first + np.arange(pose.shape[2])
     pose[...] = 0.0
     for part in range(feet.shape[2]):
@@ -52,11 +46,9 @@ def ring_pose(
 
 @kernel(over="spectrum", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1, group=(128, 1)))
 def ring_entries(spectrum: Spectrum, begins: Begins, arcs: Arcs, columns: Integer, entries: EntriesOut) -> None:
-    """Write at most ``columns`` (even) columns of a spectrum of real samples into a table, divided by the sample count.
-
-    Neighboring columns are real and imaginary part of one complex number before the transform; F(κ) and F(−κ) give
-    both of them again. A mean over an arc multiplies a wave by sin(x) / x, x = κ · arc / 2.
-    """
+    """Write at most ``columns`` (even) columns of a spectrum of real samples into a table, over the sample count."""
+    # Neighboring columns are real and imaginary part of one complex number before the transform; F(κ) and F(−κ) give
+    # both of them again. A mean over an arc multiplies a wave by sin(x) / x, x = κ · arc / 2.
     angles, samples, width = len(spectrum), len(begins), spectrum.shape[2]
     n = angles * samples
     each = (spectrum[..., 0::2] + 1j * spectrum[..., 1::2]).reshape(angles, samples, ROWS, -1)
@@ -77,12 +69,9 @@ def ring_entries(spectrum: Spectrum, begins: Begins, arcs: Arcs, columns: Intege
 def ring_coefficients(
     steps: Steps, pivots: Pivots, angles: Integer, own: Real, beside: Real, entries: EntriesInOut, peaks: Peaks
 ) -> None:  # fmt: skip
-    """Replace entries of samples by those of spline coefficients; peaks = greatest entry of `ROWS` pairs of columns.
-
-    own, beside: weights of a coefficient in its own sample and in either next one. The elimination runs along the
-    radius, outward and back, through all tiles of a track that have a pair; then each frequency is divided by its
-    weight along the angle.
-    """
+    """Replace entries of samples by those of spline coefficients; peaks = greatest entry of `ROWS` pairs of columns."""
+    # own, beside: weights of a coefficient in its own sample and either next one. A track of tiles is eliminated along
+    # the radius, outward and back; then each frequency is divided by its weight along the angle.
     rows = entries.reshape(len(peaks), -1)
     peaks[...] = 0.0
     for head in np.flatnonzero(steps[:, 5] < 0).tolist():

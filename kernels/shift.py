@@ -29,12 +29,9 @@ def _moved(image: np.ndarray, move: np.ndarray, shape: tuple[int, ...]) -> np.nd
 def shift_images(
     source: Source, moves: Moves, tapers: Tapers, after: Integer, lanes: Integer, moved: SinogramOut
 ) -> None:
-    """moved[a] = Σ over moves k with k % angles = a of the source's image k % images, moved, its rows weighted.
-
-    There are as many moves as the source or the result has images, if one of them has tiles, or several for each image.
-    after: 1 if tapers are of the moved rows, 0 if they are of the source's. lanes: of the source's layout. With source
-    and moved exchanged, opposite moves and the other ``after``, this is the transpose.
-    """
+    """moved[a] = Σ over moves k with k % angles = a of the source's image k % images, moved, its rows weighted."""
+    # after: 1 if tapers are of the moved rows, 0 if they are of the source's. lanes: of the source's layout. With
+    # source and moved exchanged, opposite moves and the other ``after``, this is the transpose.
     images, angles = len(source), len(moved)
     moved[...] = 0.0
     for k in range(len(moves)):

@@ -1,10 +1,4 @@
-"""Declarations of kernels, made only once: by the annotations of the NumPy definition.
-
-A `Field` is a three-dimensional float array whose last axis is z. On OpenCL and Warp devices it is stored as
-``[slab][major][minor][lane]``: z is cut into slabs of ``lanes`` neighbors, one vector load reads many z, and the last
-slab is padded. A `Table` is a small array, or one of another shape, in plain C order. The device versions of a
-definition receive the declared arguments in order, then one 32-bit integer ``n_<axis>`` for every named axis.
-"""
+"""Declarations of kernels, made only once: by the annotations of the NumPy definition."""
 
 from __future__ import annotations
 
@@ -77,13 +71,7 @@ Fixed = Annotated[int, Scalar("int32", fixed=True)]
 
 @dataclass(frozen=True)
 class Tiling:
-    """The part that one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
-
-    Of a table it is ``minor`` samples along the last axis; Warp's threads take one each. group is the number of work
-    items of a GPU's work-group along (minor × lanes, major, slabs): a sample's lanes are never separated, and there are
-    at most as many along slabs (1 by default) as a field has. registers: greatest number per work item on NVIDIA's
-    OpenCL; 0 leaves it to the compiler.
-    """
+    """What one work item computes: ``major`` × ``minor`` samples (0: all) of ``slabs`` slabs; see README.md."""
 
     major: int = 1
     minor: int = 1
@@ -94,15 +82,7 @@ class Tiling:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """One declared kernel: its definition, arguments, and the field whose samples its work items divide.
-
-    reach: other slices on which a slice's result depends. Nothing: none. An axis: as many to either side as its length
-    minus one. A table along z: slices of another field, from its entry on, as many as the axis ``tap``. A number:
-    another field begins at the slice with this number, and slices depend on its slices at the same place; without
-    another field, the number of the first slice. "all": any. A kernel over a table reaches along "part" if it folds
-    partial results to fewer. nvidia: replaces `gpu` if NVIDIA's OpenCL has matrix units, for fields with whole slabs.
-    constants: per device kind ("cpu", "gpu"), names and values with which its OpenCL version is compiled.
-    """
+    """A kernel: its definition, arguments, and the field whose samples its work items divide; see README.md."""
 
     definition: Callable[..., None]
     over: str

@@ -1,14 +1,4 @@
-"""Projection on rings: the effect of a turntable on light and dose is a product for each angular frequency.
-
-If angles are evenly spaced, the light of one angle, rotated, gives the light of all. On rings of even angular samples,
-the dose is therefore a convolution over the angle: a Fourier transform of the light over angles, for each frequency a
-product with the light of one angle on the rings, and the inverse transform. Two neighboring slices are the real and the
-imaginary part of one complex number; the convolution is real, and they never mix. The number of slices is even.
-
-A volume is ``[turn, ring cell, z]``: a ring that has m samples a turn has m of the cells, and sample t·m + q of it lies
-at turn t and cell ``begin + q · rings of its band + ring``. Its spectrum is ``[frequency, ring cell, z]``, where
-frequency k + j·turns lies at k and cell ``begin + j · rings of its band + ring``.
-"""
+"""Projection on rings: the effect of a turntable on light and dose is a product for each angular frequency."""
 
 from __future__ import annotations
 
@@ -130,13 +120,9 @@ def fourier(
     source: Source, bands: RingBands, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
     sink: Sink,
 ) -> None:  # fmt: skip
-    """One pass of the Fourier transforms of rings over their samples, exponent ``sign``·i; the last one is in order.
-
-    first, second, third, last: `factors` of the radix, if that is the same for all bands, whose samples are evenly
-    spaced (`is_even`), and groups of a GPU compute it at once; else 0.
-
-    Source: T. G. Stockham, AFIPS Spring Joint Computer Conf. (1966) 229.
-    """
+    """One pass of the Fourier transforms of rings over their samples, exponent ``sign``·i; the last one is in order."""
+    # first … last: `factors` of the radix, if all bands have it, are `is_even`, and groups of a GPU compute it at once;
+    # else 0. Source: T. G. Stockham, AFIPS Spring Joint Computer Conf. (1966) 229.
     slices = source.shape[2]
     given, found = _paired(source.reshape(-1, slices)), _paired(np.zeros((sink.shape[0] * sink.shape[1], slices)))
     for _, n, rings, radix, done, wave, *places in bands.tolist():
@@ -188,11 +174,9 @@ def light_rings(
     light: Light, entries: Entries, greatest: Real, tiles: Tiles, lit: Lit, order: Order,
     mirrored: Integer, tf32: Integer, spectrum: SpectrumOut,
 ) -> None:  # fmt: skip
-    """spectrum = entries · light: real parts use sums of columns that mirror each other, imaginary ones differences.
-
-    If light is not mirrored (0), both use the columns themselves. Only matrix units use ``greatest`` (a bound on the
-    entries), ``order``, and ``tf32`` (whether numbers may be rounded to eleven bits).
-    """
+    """spectrum = entries · light: real parts use sums of columns that mirror each other, imaginary ones differences."""
+    # If light is not mirrored (0), both use the columns themselves. Only matrix units use ``greatest`` (a bound on the
+    # entries), ``order``, and ``tf32`` (whether numbers may be rounded to eleven bits).
     right, left = _right_and_left(light.shape[1], mirrored)
     for k, values in enumerate(_paired(light)):
         sums, differences = values[right], values[right]

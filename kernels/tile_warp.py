@@ -1,9 +1,4 @@
-"""Tiles of samples whose shares several threads compute together and all apply, in Warp.
-
-A thread owns four lanes in each of four slabs of a tile of four samples. On a GPU, the threads that share a tile and
-differ only in z are its members: they follow each other in a block, form one warp if the field is high enough, and then
-wait only for each other. A turn is an angle, or a plane, from which a tile gathers samples.
-"""
+"""Tiles of samples whose shares several threads compute together and all apply, in Warp."""
 
 from __future__ import annotations
 

@@ -19,11 +19,9 @@ def trace_entries(
     medium: Medium, starts: Starts, directions: Directions, step: Real, most: Integer, kind: Integer, counts: CountsOut,
     entries: EntriesOut,
 ) -> None:  # fmt: skip
-    """Horizontal rays in a medium that does not depend on z, as sparse rows: pairs of a cell x·n_y + y and its weight.
-
-    A cell is written when its ray has passed it; each cell is therefore written once. counts: pairs of each ray,
-    including those beyond the capacity, or −1 for a ray that has not left after ``most`` steps.
-    """
+    """Horizontal rays in a medium that does not depend on z, as sparse rows: pairs of a cell x·n_y + y and weight."""
+    # A cell is written when its ray has passed it; each cell is therefore written once. counts: pairs of each ray,
+    # including those beyond the capacity, or −1 for a ray that has not left after ``most`` steps.
     nx, ny = medium.shape[0] - 2 * MARGIN, medium.shape[1] - 2 * MARGIN
     total, capacity = counts.size, entries.shape[2]
     count, pairs = np.zeros(total, int), entries.reshape(total, capacity, 2)

@@ -21,16 +21,11 @@ def forward_traced(
     volume: Volume, medium: Medium, starts: Starts, directions: Directions, steps: Steps, step: Real, kind: Integer,
     lanes: Integer, sinogram: RowsOut,
 ) -> None:  # fmt: skip
-    """sinogram[a, r, row] = Σ over the steps of a pixel's rays of weight × volume, trilinear.
-
-    steps: of the longest ray of each pixel, see `survey_rays`.  lanes: of the sinogram's layout.
-    """
+    """sinogram[a, r, row] = Σ over the steps of a pixel's rays of weight × volume, trilinear."""
+    # steps: of the longest ray of each pixel, see `survey_rays`. lanes: of the sinogram's layout.
     total = np.zeros(directions.shape[0] * starts.shape[0])
-    unused = np.zeros(total.size, int)
-    top, most = volume.shape[2] + 1, max(int(steps.max()), 0)
-    for ray, middle, weight in march(medium, starts, directions, top, step, most, kind, unused):
-        for cell, share in nodes(medium, volume.shape, middle, kind):
-            total[ray] += weight * share * volume[tuple(cell.T)]
+    for ray, cell, weight in entries(medium, volume.shape, starts, directions, steps, step, kind):
+        total[ray] += weight * volume[cell]
     sinogram[...] = total.reshape(*sinogram.shape, -1).sum(axis=3)
 
 
@@ -42,11 +37,8 @@ def back_traced(
     """The transpose, added to ``volume``: every ray adds its light to the voxels that `forward_traced` reads."""
     bundle = directions.shape[0] * starts.shape[0] // sinogram.size
     light = np.repeat(sinogram.ravel(), bundle)
-    unused = np.zeros(light.size, int)
-    top, most = volume.shape[2] + 1, max(int(steps.max()), 0)
-    for ray, middle, weight in march(medium, starts, directions, top, step, most, kind, unused):
-        for cell, share in nodes(medium, volume.shape, middle, kind):
-            np.add.at(volume, tuple(cell.T), weight * share * light[ray])
+    for ray, cell, weight in entries(medium, volume.shape, starts, directions, steps, step, kind):
+        np.add.at(volume, cell, weight * light[ray])
 
 
 @pointwise(over="volume")
@@ -55,18 +47,19 @@ def clear_volume(volume: VolumeOut) -> None:
     volume[...] = 0.0
 
 
-def nodes(
-    medium: np.ndarray, shape: tuple[int, ...], middle: np.ndarray, kind: int
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The eight voxels around each point and their shares, 0 for those beyond the grid and for inserts."""
-    below = np.floor(middle).astype(int)
-    near = np.stack([1 + below - middle, middle - below], axis=2).T
-    for corner in np.ndindex(2, 2, 2):
-        cell = below + corner
-        share = near[corner[0], 0] * near[corner[1], 1] * near[corner[2], 2]
-        share *= ((cell >= 0) & (cell < shape)).all(axis=1)
-        cell = np.clip(cell, 0, np.array(shape) - 1)
-        if kind & BLOCKS:
-            up = cell[:, 2] + MARGIN if medium.shape[2] > 1 else 0
-            share *= medium[cell[:, 0] + MARGIN, cell[:, 1] + MARGIN, up, 3] > -DARK
-        yield cell, share
+def entries(
+    medium: np.ndarray, shape: tuple[int, ...], starts: np.ndarray, directions: np.ndarray, steps: np.ndarray,
+    step: float, kind: int,
+) -> Iterator[tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]]:  # fmt: skip
+    """Rays, voxels around the middles of their steps, and weights, 0 for voxels beyond the grid and for inserts."""
+    most, unused = max(int(steps.max()), 0), np.zeros(len(directions) * len(starts), int)
+    for ray, middle, weight in march(medium, starts, directions, shape[2] + 1, step, most, kind, unused):
+        below = np.floor(middle).astype(int)
+        near = np.stack([1 + below - middle, middle - below], axis=2).T
+        for a, b, c in np.ndindex(2, 2, 2):
+            cell = below + (a, b, c)
+            share = near[a, 0] * near[b, 1] * near[c, 2] * ((cell >= 0) & (cell < shape)).all(axis=1)
+            x, y, z = np.clip(cell, 0, np.array(shape) - 1).T
+            if kind & BLOCKS:
+                share *= medium[x + MARGIN, y + MARGIN, z + MARGIN if medium.shape[2] > 1 else 0, 3] > -DARK
+            yield ray, (x, y, z), weight * share

@@ -1,9 +1,4 @@
-"""Diffusion and photochemistry of three species on a box of voxels, explicit in time.
-
-Oxygen A and lophyl radicals B consume the radicals that visible light makes. Under ultraviolet light, o-Cl-HABI C
-splits into two B; two B recombine to C. The flux through a face of a voxel leaves one side and enters the other.
-Source: paper eqs 5-7 and 12-14, with C of first order where stated there.
-"""
+"""Diffusion and photochemistry of three species on a box of voxels, explicit in time."""
 
 from __future__ import annotations
 
@@ -34,13 +29,10 @@ def transport(
     scratch: Scratch, a_out: VolumeOut, b_out: VolumeOut, c_out: VolumeOut, dose: VolumeInOut, optical_time: VolumeOut,
     mechanical_time: VolumeOut,
 ) -> None:  # fmt: skip
-    """Advance A, B, C by ``steps`` of Δt under constant light; each species diffuses, then reacts where ``reacting``.
-
-    Faces of the box are x low, x high, y low, y high, z low, z high; no flux passes between resin and wall. Radicals
-    that are not inhibited add to ``dose`` (light × time); the times of its first crossing of ``optical`` and
-    ``mechanical`` are recorded. An item with a block of columns takes several steps while the block is in its cache and
-    keeps intermediate values in ``scratch``; other devices take one step per launch.
-    """
+    """Advance A, B, C by ``steps`` of Δt in constant light; each species diffuses, then reacts where ``reacting``."""
+    # Faces are x low, x high, y low, …; no flux passes between resin and wall. Radicals that are not inhibited add to
+    # ``dose`` (light × time); its first crossings of ``optical`` and ``mechanical`` are recorded. Where an item has a
+    # block of columns, it takes several steps in its cache, with ``scratch``; other devices take one step per launch.
     species = [np.array(s, dtype=float) for s in (a, b, c)]
     inside = np.asarray(open, bool)[..., None]
     for step in range(steps):

@@ -1,8 +1,4 @@
-"""Light of one angle at every angle of a moving web, and its transpose: both are one gather over a shifted window.
-
-The unfolded matrix, a copy of the window for every angle, is never stored. What a ray meets in one layer is a short run
-of neighboring columns, a band; neighboring angles read the same band one step further on.
-"""
+"""Light of one angle at every angle of a moving web, and its transpose: both are one gather over a shifted window."""
 
 from __future__ import annotations
 
@@ -32,11 +28,9 @@ Shares = Annotated[np.ndarray, Table("float32", ("entry",))]
 def shift_window(
     source: Source, rows: Rows, bands: BandTable, weights: Weights, step: Integer, phases: Integer, target: TargetOut
 ) -> None:
-    """target[m·phases + c, n, z] = Σ over the bands of row c·minors + n of Σ_k w[k]·source[m·step + first + k, minor].
-
-    Bands ``rows[row]`` to ``rows[row + 1]`` belong to a row; a band is (minor of the source, first, begin, count) and
-    its weights begin at ``weights[begin]``, padded to fours with zeros. Outside the source, samples count as 0.
-    """
+    """target[m·phases + c, n, z] = Σ over bands of row c·minors + n of Σ_k w[k]·source[m·step + first + k, minor]."""
+    # Bands ``rows[row]`` to ``rows[row + 1]`` belong to a row; a band is (minor of the source, first, begin, count) and
+    # its weights begin at ``weights[begin]``, padded to fours with zeros. Outside the source, samples count as 0.
     majors, minors = target.shape[:2]
     length, flat = source.shape[0], weights.reshape(-1)
     target[...] = 0.0

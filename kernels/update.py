@@ -24,12 +24,10 @@ def multiply(x: Array, y: Array, out: ArrayOut) -> None:
 def apply_penalty(
     light: Array, weight: Real, power: Real, hold: Integer, most: Real, gradient: ArrayInOut, parts: Parts
 ) -> None:
-    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, keep light within 0 and ``most``.
-
-    Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where a step against it would make dark light (≤ 0)
-    negative, or the brightest light (≥ most) brighter; a filter or a metric applied to the rest then keeps it a
-    direction of descent. power ≥ 1. Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
-    """
+    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, keep light in 0 to ``most``."""
+    # Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where a step against it would make dark light (≤ 0)
+    # negative, or the brightest light (≥ most) brighter; a filter or a metric applied to the rest then keeps it a
+    # direction of descent. power ≥ 1. Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
     lit = np.maximum(light, 0.0) if weight else 0.0
     root = weight * np.power(lit, power - 1.0)
     add_up(parts, root * lit)
@@ -59,10 +57,8 @@ def correct_by_difference(
     dose: Array, scale: Real, target: Array, low: Real, high: Real, gain_outside: Real, gain_inside: Real, reach: Real,
     model: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Lower the model where a void has more than ``low``, raise it where the part has less than ``high``.
-
-    A voxel is inside if its target is at least one half; dose is multiplied by scale, the differences by their gain.
-    """
+    """Lower the model where a void has more than ``low``, raise it where the part has less than ``high``."""
+    # A voxel is inside if its target is at least one half; dose is multiplied by scale, the differences by their gain.
     missing, excess = np.maximum(0.0, high - dose * scale), np.maximum(0.0, dose * scale - low)
     change = np.where(target >= 0.5, gain_inside * missing, -gain_outside * excess)
     model += np.where(near_axis(model, reach), change, 0.0)

@@ -1,22 +1,4 @@
-"""Anti-aliased voxels of a closed triangle surface.
-
-Rays run up z through SAMPLES points of every (x, y) column, and every ray keeps a list of the heights at which it
-crosses the surface. Sorted, they give its winding number from below: the ray is in the part wherever that is at least
-1. Bodies that overlap, touch or coincide therefore count once, and bodies wound inward are cavities. Where a ray enters
-at height h, every voxel above gains one, and the voxel cut by the surface gains its part above h; where the ray leaves,
-they lose the same. The result is exact along z.
-
-Vertices are on a fine grid of 2**bits units per voxel, and edge tests and heights are integers of 64 bits. A ray
-through an edge or a vertex counts as passing it at an infinitesimal distance (ε, ε²): neighboring triangles never both
-count it and never both miss it. All sums are multiples of 1 / (SAMPLES · 2**bits) of at most 1, which are exact in
-float32; devices therefore give the same numbers.
-
-The points are a lattice of 16 rows and 16 columns with one point in each (rank 1, generator 7): a wall along x or y is
-resolved to 1/16 of a voxel, while a square array of as many points would resolve 1/4. Its offset of 11 makes it
-symmetric under half a turn; so are the voxels of such a part. The volume of a round section with a radius of 10 voxels
-is right to 1e-3 (root mean square), of 35 voxels to 2e-4. A wall one voxel thick along x, y or z meets exactly 16
-points, or units of height, at any position: the fractions of the voxels that it straddles add up to one.
-"""
+"""Anti-aliased voxels of a closed triangle surface."""
 
 from __future__ import annotations
 
@@ -68,13 +50,10 @@ def voxelize(
     triangles: Triangles, members: Members, first: Bounds, last: Bounds, start: Start, tile: Integer, bits: Integer,
     row: Integer, lists: Lists, volume: VolumeOut, filled: Filled,
 ) -> None:  # fmt: skip
-    """volume[x, y, z] = fraction of the voxel inside the surface, 0..1; filled = its sum over tile × tile columns.
-
-    triangles: corners in units of the fine grid, counted from the low corner of the volume, and −1 if the surface is
-    entered from below (it faces down), +1 if it is left. members[first:last] of a tile are the triangles whose boxes
-    touch it; they save devices a search and change nothing. Only the rows of tiles in ``first``, from ``row``
-    on, are computed. lists[start[x, y]] is the number of crossings of a column, followed by the sorted crossings.
-    """
+    """volume[x, y, z] = fraction of the voxel inside the surface, 0..1; filled = its sum over tile × tile columns."""
+    # triangles: in units of the fine grid from the low corner of the volume; sign −1 where a ray enters. Those whose
+    # boxes touch a tile are members[first:last]. Only the rows of tiles in ``first``, from ``row`` on, are computed.
+    # lists[start[x, y]] is the number of crossings of a column, followed by the sorted crossings.
     unit, (n_x, n_y, n_z) = 1 << int(bits), volume.shape
     low, high = int(row * tile), min(int((row + first.shape[0]) * tile), n_x)
     found = []
@@ -94,11 +73,8 @@ def voxelize(
     inside = np.cumsum(changes[:, :n_z], axis=1).reshape(high - low, n_y, n_z)
     volume[low:high] = inside / (SAMPLES * unit)
     columns = volume[low:high].sum(axis=2)
-    filled[...] = np.add.reduceat(
-        np.add.reduceat(columns, np.arange(0, columns.shape[0], tile), axis=0),
-        np.arange(0, columns.shape[1], tile),
-        axis=1,
-    )
+    rows, across = (np.arange(0, n, tile) for n in columns.shape)
+    filled[...] = np.add.reduceat(np.add.reduceat(columns, rows, axis=0), across, axis=1)
 
 
 def _enlist(lists: np.ndarray, start: np.ndarray, column: np.ndarray, code: np.ndarray) -> None:

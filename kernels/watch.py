@@ -47,10 +47,8 @@ def spare_voxels(
     dose: Array, target: Array, deviation: Array, share: Real, margin: Real, inside: Real, greatest: Real,
     weight: ArrayOut,
 ) -> None:  # fmt: skip
-    """weight = 0 if a voxel certainly has too much dose: dose − share·deviation − margin above its limit, otherwise 1.
-
-    Limits are ``greatest`` in the part (a target of one half or more), and ``inside`` outside.
-    """
+    """weight = 0 if a voxel certainly has too much dose: dose − share·deviation − margin above its limit, else 1."""
+    # Limits are ``greatest`` in the part (a target of one half or more), and ``inside`` outside.
     sure = dose - (share * deviation + margin)
     weight[...] = np.where(np.where(target >= 0.5, sure > greatest, sure >= inside), 0.0, 1.0)
 
@@ -60,11 +58,9 @@ def likelihood_weights(
     dose: Array, seen: Array, deviation: Array, judged: Columns, samples: Samples, start: Real, density: Real,
     weight: ArrayOut, pull: ArrayOut,
 ) -> None:  # fmt: skip
-    """Curvature and slope of the log-likelihood of a relative gain of each voxel's dose.
-
-    weight = (M'·dose)² / deviation², pull = M'·dose·(seen − M) / deviation², with M the samples as in `look_up`. Both
-    are 0 where ``deviation`` is 0, which marks invalid voxels, and where ``judged`` is 0.
-    """
+    """Curvature and slope of the log-likelihood of a relative gain of each voxel's dose."""
+    # weight = (M'·dose)² / deviation², pull = M'·dose·(seen − M) / deviation², with M the samples as in `look_up`. Both
+    # are 0 where ``deviation`` is 0, which marks invalid voxels, and where ``judged`` is 0.
     made, rise = look_up(dose, samples, start, density)
     known = (deviation > 0.0) & (judged[:, :, None] > 0.0)
     slope = rise * density * dose
@@ -87,9 +83,7 @@ def share_gain(
 def conversion_deviation(
     extinction: Array, sharp: Array, rounded: Array, knots: Knots, slopes: Knots, model: Real, variance: ArrayInOut
 ) -> None:
-    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), the standard deviation of conversion.
-
-    slope is that of the last knot at or below the extinction, or of the first knot if there is none.
-    """
+    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), the standard deviation of conversion."""
+    # slope is that of the last knot at or below the extinction, or of the first knot if there is none.
     piece = np.clip(np.searchsorted(knots, extinction, side="right") - 1, 0, len(knots) - 1)
     variance[...] = np.sqrt(variance * slopes[piece] ** 2 + 4.0 * (sharp - rounded) ** 2 + model**2)

@@ -1,7 +1,4 @@
-"""Fields in the form for Warp kernels, and reading four lanes of one at once.
-
-Warp aligns its vec4 to four bytes: a plain read is four loads of one float. Fields are aligned to sixteen bytes.
-"""
+"""Fields in the form for Warp kernels, and reading four lanes of one at once."""
 
 from __future__ import annotations
 

@@ -9,10 +9,8 @@ from io import BytesIO
 
 import numpy as np
 
-LARGEST = 2**25
-"""Largest number of values of an array that is drawn as a picture; larger arrays are shown as numbers."""
-SIDE = 220
-"""Pixels along the longer side of a picture."""
+LARGEST = 2**25  # largest number of values of an array that is drawn as a picture; larger arrays are shown as numbers
+SIDE = 220  # pixels along the longer side of a picture
 
 
 def card(title: str, numbers: Mapping[str, object], pictures: Mapping[str, np.ndarray | None] | None = None) -> str:

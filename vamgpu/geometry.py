@@ -20,15 +20,11 @@ from vamgpu.schema import check, write
 from vamgpu.schema.quantities import Fill, Pitch, PixelPitch, Positive, Turn, Width, numeric
 from vamgpu.travel import Travel, at_rest, check_angles
 
-HALF_A_PIXEL = 0.5
-"""Default standard deviation [pixels] of the point spread of a projector in focus."""
-WIDEST = 30
-"""Standard deviation [pixels] above which a point spread is a wrong unit, not a lens."""
+HALF_A_PIXEL = 0.5  # default standard deviation [pixels] of the point spread of a projector in focus
+WIDEST = 30  # standard deviation [pixels] above which a point spread is a wrong unit, not a lens
 FULL_TURN = 2.0 * np.pi
-DIAL = 96
-"""Pixels along the side of the picture of a turntable."""
-SAME_ANGLE = 1e-9
-"""Angles [rad] closer than this count as equal, because files write decimals."""
+DIAL = 96  # pixels along the side of the picture of a turntable
+SAME_ANGLE = 1e-9  # angles [rad] closer than this count as equal, because files write decimals
 
 
 def counts(name: str, values: object, length: int) -> tuple[int, ...]:

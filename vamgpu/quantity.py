@@ -47,8 +47,7 @@ EXAMPLES = {
 }  # fmt: skip
 
 
-FAR = 100.0
-"""A number without a unit is shown in another unit than an example if their ratio exceeds this."""
+FAR = 100.0  # a number without a unit is shown in another unit than an example if their ratio exceeds this
 RAISED = str.maketrans("⁻¹²³μ·⋅", "-123µ  ", "^")
 """Superscript digits as plain ones, Greek mu as the micro sign, blanks for dots, no caret."""
 PER = re.compile(r"(.*?) *(?<![a-z])([a-z]+)-([123])")

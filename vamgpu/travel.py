@@ -26,6 +26,7 @@ from vamgpu.schema.quantities import (
 
 GRAVITY = 9806.65  # [mm/s²]
 MOST = 1_000_000  # frames of all turns
+TALLEST = 300.0  # farthest way along z [mm]; no vial is as tall
 NEAR = 1e-9  # turns by which rounding may change a number of turns
 Path = tuple[tuple[float, ...], ...]
 
@@ -69,6 +70,9 @@ class Travel:
         period: ExposureTime | None = None,
     ) -> None:
         heights = numeric("Travel up", up, (2,), "finite heights [mm], (turns, angles) or (turns, 1)")
+        if (far := float(np.abs(heights).max())) > TALLEST:
+            raise BadInput(f"Travel moves the part by {far:.4g} mm along z; expected at most {TALLEST:g} mm, within a "
+                           "vial: check units, such as mPa s written for Pa s")  # fmt: skip
         for name, values in (("up", heights), ("x", x), ("y", y)):
             object.__setattr__(self, name, _path(name, values, len(heights)))
         if not isinstance(follow, bool):

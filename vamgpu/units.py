@@ -38,8 +38,7 @@ dpt: float = 1.0 / m
 kg_m3: float = 1e3 * mJ * s**2 / m**2 / m**3
 Pa_s: float = J * s / m**3
 mol: float = 1.0
-mol_m3: float = 1.0
-"""Concentrations are kept in mol/m³, which is mM."""
+mol_m3: float = 1.0  # concentrations are kept in mol/m³, which is mM
 g_mol: float = 1.0
 K = 1.0
 

@@ -66,10 +66,7 @@ class SteppedTurntable:
 
 @dataclass
 class CalibrationMachines:
-    """Opened machines of a calibration, with a screen for each projector; its number is the channel of its light.
-
-    controller: gates the light; None without one.  lamp: lamp that the host switches; None if dark screens do.
-    """
+    """Opened machines of a calibration, with a screen for each projector; its number is the channel of its light."""
 
     rig: RigFile
     clock: Clock

@@ -64,7 +64,7 @@ def keep(found: CalibrationResult, rig: RigConfig, now: datetime | None = None) 
 def free(folder: str | Path, overwrite: bool) -> None:
     """Raises `StorageError` if a result may not be written, before the measurement."""
     if Path(folder).exists() and not overwrite:
-        raise StorageError(f"{str(folder)!r} exists; choose another path, or allow overwriting it")
+        raise StorageError(f"{str(folder)!r} exists; choose another path, or allow overwriting it (--overwrite)")
 
 
 def focused_at(folder: str | Path, positions: Sequence[float]) -> tuple[float, ...]:

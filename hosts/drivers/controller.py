@@ -19,8 +19,7 @@ from vamgpu.hosts.schedules.timing import exact, fraction
 log: logging.Logger = logging.getLogger(__name__)
 TRIES = 3
 CLOSE = Fraction(1, 10**9)  # allowed relative error of a ratio: one microstep in 10^9
-LONGEST_BABBLE = 100
-"""Largest number of lines read for one answer, because a machine may never stop sending."""
+LONGEST_BABBLE = 100  # largest number of lines read for one answer, because a machine may never stop sending
 REASONS = {
     "lease": "its lease has run out: renew it before arming",
     "interlock": "its interlock is open: close the enclosure",
@@ -124,9 +123,12 @@ class Controller(Closing):
                 if attempt:
                     log.warning("controller: %s again", verb)
                 self._wire.send(line)
-                reply = self._answer()
-                if reply is not None:
-                    return self._accept(verb, reply)
+                if (reply := self._answer()) is None:
+                    continue
+                if reply.kind == "ok":
+                    return reply.words
+                reason = reply.words[0] if reply.words else "?"
+                raise DeviceRefused(f"the controller refused {verb!r}: {REASONS.get(reason, reason)}", reason)
         raise DeviceLost(f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power")
 
     def _replies(self, wait: bool = True) -> Iterator[Reply]:
@@ -150,13 +152,6 @@ class Controller(Closing):
         """The reply to the last number; None if it is missing, or the command must be repeated."""
         found = next((each for each in self._replies() if each.kind == "?" or each.number == self._number), None)
         return None if found is None or found.kind == "?" else found
-
-    @staticmethod
-    def _accept(verb: str, reply: Reply) -> tuple[str, ...]:
-        if reply.kind == "ok":
-            return reply.words
-        reason = reply.words[0] if reply.words else "?"
-        raise DeviceRefused(f"the controller refused {verb!r}: {REASONS.get(reason, reason)}", reason)
 
     def poll(self) -> tuple[tuple[str, ...], ...]:
         """Return the controller's events since the last call."""

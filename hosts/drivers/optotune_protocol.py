@@ -1,7 +1,6 @@
 """Optotune lens drivers LD4 and 4i: requests as bytes, replies by their length, as these may hold CR and LF.
 
-A command is payload and CRC-16/ARC, low byte first; a reply ends in CR LF. Valid settings are not answered. Commands
-that wear out the driver's memory, or reset it for new firmware, are omitted on purpose.
+A command is payload and CRC-16/ARC, low byte first; a reply ends in CR LF. What wears out its memory is omitted.
 """
 
 from __future__ import annotations

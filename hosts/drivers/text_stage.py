@@ -15,10 +15,7 @@ SAME = 1e-4  # relative tolerance of steps that a board prints with three decima
 
 
 class Dialogue(NamedTuple):
-    """Texts of a firmware, with the fields {speed}, {rate}, {position}, {way}, {steps} and {steps_per_s}.
-
-    A speed is in units per second, a rate in units per minute. A way is the distance from the present position.
-    """
+    """Texts of a firmware, with fields as in `TextMotion`, and {way} for the distance from the present position."""
 
     ask: str  # query of the position
     answer: str  # pattern of its answer, with a group ``position`` [unit] or ``steps``, and perhaps a ``state``

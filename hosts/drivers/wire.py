@@ -1,7 +1,6 @@
 """A line to a machine: bytes out, bytes in, and errors with a remedy.
 
-Ports open by pyserial's ``serial_for_url``: ``/dev/ttyUSB0``, ``COM3``, ``socket://host:port``. Instruments open by the
-kernel's ``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``TCPIP::host::INSTR``.
+Ports open by pyserial (``/dev/ttyUSB0``, ``socket://host:port``), instruments by ``usbtmc:/dev/usbtmc0`` or PyVISA.
 """
 
 from __future__ import annotations

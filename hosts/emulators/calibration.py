@@ -29,16 +29,16 @@ from vamgpu.hosts.emulators.rigs import EmulatedLine
 from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
+GREATEST = 500.0  # range of the meter [mW]
+
 
 class EmulatedMeter(LineDevice):
     """A photodiode's meter that reads ``light(now)`` [mW], with noise [mW]; beyond its range it has no value."""
 
-    def __init__(
-        self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0
-    ) -> None:
+    def __init__(self, light: Callable[[int], float], noise_mw: float = 0.0, seed: int = 0) -> None:
         super().__init__(5000.0)
         self.errors: deque[str] = deque()
-        self._light, self._noise, self._greatest = light, noise_mw, greatest_mw
+        self._light, self._noise = light, noise_mw
         self._random = np.random.default_rng(seed)
         self.wavelength: float = 405.0
         self.count: int = 1
@@ -63,7 +63,7 @@ class EmulatedMeter(LineDevice):
                 return self.errors.popleft() if self.errors else '+0,"No error"'
             case ["MEAS:POW?"]:
                 reading = self._light(now) + self._noise / self.count**0.5 * self._random.standard_normal()
-                return "9.91E+37" if reading > self._greatest else f"{reading / 1000:.9E}"
+                return "9.91E+37" if reading > GREATEST else f"{reading / 1000:.9E}"
             case ["SENS:CORR:WAV", value]:
                 wavelength = float(value)
                 if 350 <= wavelength <= 1100:

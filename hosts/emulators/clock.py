@@ -57,7 +57,7 @@ class VirtualClock:
 
     def sleep(self, duration: int) -> None:
         """Jump ahead by a duration [ns]."""
-        self.sleep_until(self._now + int(duration))
+        self.sleep_until(self.now() + int(duration))
 
 
 class PacedClock(VirtualClock):
@@ -85,7 +85,3 @@ class PacedClock(VirtualClock):
         """Return at ``until`` [ns] or soon after, when all machines that are due by then have acted."""
         self._own.sleep_until(self._began + until)
         self.now()
-
-    def sleep(self, duration: int) -> None:
-        """Sleep for a duration [ns]."""
-        self.sleep_until(self.now() + int(duration))

@@ -101,10 +101,8 @@ class DoseRecorder:
 
     def _add(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
         low, high = self.pose(start), self.pose(end)
-        cuts = [start, end]
-        for edge in range(int(np.floor(min(low, high))) + 1, int(np.ceil(max(low, high)))):
-            cuts.append(round(start + (edge - low) / (high - low) * (end - start)))
-        cuts.sort()
+        edges = range(int(np.floor(min(low, high))) + 1, int(np.ceil(max(low, high))))
+        cuts = sorted([start, *(round(start + (edge - low) / (high - low) * (end - start)) for edge in edges), end])
         for begin, stop in zip(cuts[:-1], cuts[1:], strict=True):
             if stop > begin:
                 self._add_within(engine, mirrors, begin, stop)

@@ -54,11 +54,7 @@ def printer_of(setup: LiveSetup, resin: Mapping[str, Any], sharp: bool) -> Virtu
 
 
 class CuringCamera:
-    """Images through a vial of curing resin; the light of each turn takes effect at its end.
-
-    emulated: the rig; None without one.  part: fractions [x, y, z].  seen: light of the frames so far, and ``light``
-    that of the beam.  sensor: None if the camera's pixels are those of the beam.
-    """
+    """Images through a vial of curing resin [x, y, z]; the light of each turn takes effect at its end."""
 
     def __init__(
         self, emulated: Any, printer: VirtualPrinter, part: np.ndarray, seen: Callable[[], np.ndarray] | None,

@@ -41,11 +41,7 @@ class PlanePacker:
 
 
 class DevicePacker(PlanePacker):
-    """Packs frames on a device, split by focus plane, so that only finished bytes cross the bus.
-
-    images: array on the device, or a reader of the images of poses to the host.  shown: bool (planes, columns).  size:
-    rows and columns of the mirrors; smaller images are centered.
-    """
+    """Packs frames on a device, split by focus plane and centered on the mirrors: only finished bytes cross the bus."""
 
     device: Device
     kernel: Kernel

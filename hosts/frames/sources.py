@@ -97,10 +97,7 @@ class VialFrames(_Leveled):
 
 
 class WebFrames(_Leveled):
-    """The frames of a web, split by columns into its focus planes: number pose · planes + plane; one batch is held.
-
-    read: frames from one pose to another, uint8 [pose, row, column].  masks: the focus plane of each column.
-    """
+    """Frames of a web, split by columns into its focus planes: number pose · planes + plane; one batch is held."""
 
     bits = 8
 

@@ -52,12 +52,7 @@ class FrameMemory(Protocol):
 
 
 class UploadQueue:
-    """Uploads the frames of one projector to its mirrors, through a ring of preallocated buffers.
-
-    order: frame of each slot.  batch: frames per buffer.  guard: frames ahead of the counter at which a missing one is
-    given up.  turn: slots after which frames repeat, uploaded once if they fit in the mirrors.  boundaries: where they
-    may be replaced. Two threads pack and upload; without them ``pump`` does both, and repeats exactly.
-    """
+    """Uploads frames of a projector in two threads, through a ring of buffers; without threads `pump` does both."""
 
     def __init__(
         self, packer: PlanePacker, order: np.ndarray, memory: FrameMemory, clock: Clock, *, batch: int = 8,

@@ -55,11 +55,7 @@ class FrameVersion:
 
 
 class FrameVersions:
-    """The versions of a print's frames, and their slots.
-
-    count: slots of a turn, or of a segment.  turns: of the print, or its segments.  allowance: light they may add. Any
-    thread may `swap`; the printing thread commits or drops the offered version.
-    """
+    """The versions of a print's frames. Any thread may `swap`; the printing thread commits or drops the offered one."""
 
     def __init__(
         self, sources: Sequence[FrameSource], count: int, turns: int, *, allowance: float = 0.0,

@@ -20,10 +20,7 @@ STILL = 1.0  # greatest turn of the vial during an image, in angles of the job
 
 
 def watchable(job: Path, config: RigConfig, speed: float, *, real: bool, measured: bool) -> None:
-    """Raise `JobError`, which lists all needs of a watched print, unless each holds.
-
-    speed: of the vial [deg/s].  real: whether the machines are.  measured: whether the camera must have been.
-    """
+    """Raise `JobError`, which lists all needs of a watched print at a speed [deg/s], unless each holds."""
     found = tuple(needs(job, config, speed, real=real, measured=measured))
     if not all(need.holds for need in found):
         lines = (f"  {need.about + ':':<13} {'yes' if need.holds else 'no'}, {need.why}"

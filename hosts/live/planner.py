@@ -28,8 +28,7 @@ from vamgpu.printing.placement import FIT
 from vamgpu.storage.folder import Folder
 
 PLACE = "live"  # folder of the record in the run's folder
-SEEN = 0.6
-"""Share of a turn whose images are used, more than half of it; the rest is for planning and upload."""
+SEEN = 0.6  # share of a turn whose images are used, more than half of it; the rest is for planning and upload
 
 
 def light_of(frames: Frames, planned: int, dose: float = 1.0) -> np.ndarray:
@@ -59,10 +58,7 @@ def follow(planner: PlannerClient) -> None:
 
 
 class Following:
-    """One monitored print, from its start or from where an earlier host left it.
-
-    The planner's settings are a `LiveSetup`, and the camera's view if its pixels are not the beam's.
-    """
+    """One monitored print, from its start or from where an earlier host left it."""
 
     def __init__(self, planner: PlannerClient) -> None:
         self._planner, task = planner, planner.task
@@ -107,7 +103,9 @@ class Following:
                 self._answered(told["answer"])
             elif "shown" in told:
                 for slot, version in zip(told["shown"]["slot"], told["shown"]["version"], strict=True):
-                    self._saw(int(slot) // self._planner.task["frames"], int(version))
+                    self._showed[turn := int(slot) // self._planner.task["frames"]] = int(version)
+                    if (decided := self._unseen.pop(int(version), 0)) > 0:
+                        self._record.note(decided, effective=turn)
             elif "image" in told and not self._over:
                 turn, rest = divmod(float(told["angle"]) / 360.0, 1.0)
                 if turn != self._turn:
@@ -131,11 +129,6 @@ class Following:
 
     def _blank(self) -> np.ndarray:
         return np.full((self._setup.angles, self._setup.pixels[1], self._setup.pixels[0]), np.nan, np.float32)
-
-    def _saw(self, turn: int, version: int) -> None:
-        self._showed[turn] = version
-        if (decided := self._unseen.pop(version, 0)) > 0:
-            self._record.note(decided, effective=turn)
 
     def _decide(self, stack: np.ndarray, sense: float) -> None:
         began, state, turn = time.perf_counter(), self._state, self._state.turn + 1

@@ -40,12 +40,6 @@ REFUSED = "open this page with the address printed at its start, which contains 
 LOCKED = "too many wrong tokens came from this address; wait a minute, then open the printed address"
 
 
-def _name(host: str) -> str:
-    """A header's host without its port."""
-    before, colon, after = host.rpartition(":")
-    return (before if colon and after.isdigit() else host).lower()
-
-
 def _number(name: str) -> bool:
     """Whether a name is a numeric address, which no other site's name can point to."""
     try:
@@ -114,7 +108,8 @@ class TokenAuth:
     def _addressed(self, headers: dict[bytes, str]) -> bool:
         """Whether a request names this machine, and does not come from a page of another site."""
         host, origin = headers.get(b"host", ""), headers.get(b"origin")
-        name = _name(host)
+        before, colon, after = host.rpartition(":")
+        name = (before if colon and after.isdigit() else host).lower()
         return (name in self._names or _number(name)) and (origin is None or origin.partition("//")[2] == host)
 
     def _known(self, headers: dict[bytes, str]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,7 @@ class StopRule:
     discard: int = 0  # images that the camera may have taken before the request
 
 
-class ScatterWatch:
+class ScatterWatch(AbstractContextManager["ScatterWatch"]):
     """Watches a print from before its light to its end; a context manager. Writes ``scatter.csv``: seconds, density."""
 
     def __init__(
@@ -73,9 +74,6 @@ class ScatterWatch:
             self._thread.start()
             self._seen.wait((1 + self._wanted.discard) * self._patience / SECOND)
         self._check()
-
-    def __enter__(self) -> ScatterWatch:
-        return self
 
     def __exit__(self, *_: object) -> None:
         """End the thread; a camera that hangs is left behind."""

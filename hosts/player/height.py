@@ -22,11 +22,7 @@ NEAR = 0.5  # rows by which a part may be away from its frames
 
 
 class MovingPlayer:
-    """A player that raises the vial, and compares the height of the part with that of its frames; else as ``player``.
-
-    At the beginning, the middle of the part is in the middle of the image. A part without ``rows`` moves by itself.
-    row: height of a row of pixels [mm].
-    """
+    """A player that raises the vial, in steps of rows [mm], and compares the height of the part with its frames'."""
 
     def __init__(self, player: Player, machines: Machines, travel: Travel, row: float) -> None:
         self._player, schedule = player, player.schedule

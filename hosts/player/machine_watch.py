@@ -18,11 +18,7 @@ STEP = 0.005  # of focal powers [1/m]
 
 
 class MachineWatch:
-    """Asks the machines. ask: raises `DeviceError`; returns fields of a snapshot, ``focus`` is the lens's power [1/m].
-
-    A lens that does not move may be right by chance: its answer vouches only for frames that need its power. If its
-    power has changed since the last answer, it also vouches for earlier frames, up to the first that needs this power.
-    """
+    """Asks machines. A lens at rest may be right by chance: it vouches only for frames that need its power."""
 
     vouched: int  # slot before which all machines did their work
 

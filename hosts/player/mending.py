@@ -9,10 +9,7 @@ from vamgpu.printing.given_dose import GivenDose
 
 
 class Mending:
-    """Counts frames that are shown again. dose: of the plan, if known.  spare: light that the budget has over the plan.
-
-    A frame in doubt had between none and all of its light, so that a second one may be too much.
-    """
+    """Counts frames shown again: one in doubt had none to all of its light, so that a second may be too much."""
 
     def __init__(self, dose: GivenDose | None, spare: float) -> None:
         self._dose, self._spare, self._spent = dose, spare, 0.0

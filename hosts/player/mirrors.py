@@ -33,10 +33,7 @@ M = TypeVar("M", MirrorMachines, StageMachines)
 
 
 class MirrorPlayer(ABC, Generic[M]):
-    """Frames, versions and repeats of a `Player` on mirrors; subclasses move and trigger.
-
-    depth: frames per sequence.  sequences: number of sequences.  turn: slots that fit in them, uploaded once.
-    """
+    """Frames, versions and repeats of a `Player` on mirrors; subclasses move and trigger."""
 
     lamp: Lamp
     renew: Renew

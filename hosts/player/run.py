@@ -56,12 +56,7 @@ class PrintObserver(Protocol):
 
 
 class Print:
-    """One print: a player's schedule with one holder of the light.
-
-    enough: called at every poll for why the part has enough light.  short: message for a print without.  watch: asks
-    the machines that no poll reads.  mend: show frames in doubt again, as far as dose and budget allow.  dose: of the
-    plan, if it is known.
-    """
+    """One print: a player's schedule with one holder of the light."""
 
     next: int
     holds: int

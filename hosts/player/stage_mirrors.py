@@ -1,7 +1,6 @@
 """Plays a schedule on mirrors that a stage triggers: its output fires at every pose, without the host.
 
-The mirrors count frames, and the stage's reported position counts triggers; both must agree. Pose 0 of a vial is at the
-stage's zero; a web starts at its present position, and moves back for its run-up.
+Mirrors count frames, the stage's position counts triggers, and both must agree; a vial's pose 0 is at its zero.
 """
 
 from __future__ import annotations

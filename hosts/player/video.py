@@ -41,10 +41,7 @@ class SlotLight:
 
 
 class SlotCounter:
-    """Counts slots evenly while the stage is near its slot, else by the stage; keeps sent frames until they are read.
-
-    step: slots in which the stage makes a microstep, to which it rounds its position.
-    """
+    """Counts slots evenly while the stage is near its slot, else by the stage; keeps frames until they are read."""
 
     def __init__(self, display: HdmiTiming, step: float = 0.0) -> None:
         self._aside = ASIDE + step / 2

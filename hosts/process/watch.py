@@ -8,7 +8,7 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict
 from functools import partial
 from multiprocessing import AuthenticationError
@@ -35,7 +35,7 @@ class LightProcessLost(DeviceError):
     """The process that controlled the light has ended; if a controller gates the light, its lease switches it off."""
 
 
-class Watch:
+class Watch(AbstractContextManager["Watch"]):
     """A print in another process, mirrored on a board, whose stop and buttons control it; a context manager."""
 
     pid: int
@@ -58,9 +58,6 @@ class Watch:
         board.on_stop(self.stop)
         self._thread = threading.Thread(target=self._mirror, args=(watching,), name="mirror", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> Watch:
-        return self
 
     def __exit__(self, kind: object, *_: object) -> None:
         try:

@@ -105,10 +105,7 @@ class LightAccount:
 def account(
     run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool = True, ended: bool = False
 ) -> LightAccount | None:
-    """The light of a run's frames; None for folders without it.
-
-    versions: also count frames by version.  ended: whether the light is off, although the state is still printing.
-    """
+    """The light of a run's frames, by version if wanted; None for folders without it. ended: the light is off."""
     kept: Mapping[str, Any] | None = run.asked.get("views")
     if wanted is None and kept is None:
         return None

@@ -120,15 +120,10 @@ def shown_frames(
         return ShownFrames(job, share)
     planned = account(run, versions=False)
     assert planned is not None
-    share = {number: _of(each, planned, engine, unsure) for number, each in light.versions.items()}
+    wanted = np.maximum(planned.wanted[engine], 1)  # over all turns of the plan
+    share = {n: (each.sure[engine] + unsure * each.unsure[engine]) / wanted for n, each in light.versions.items()}
     others = ((partial(kept_frames, run.path, number, engine, job.device), share[number]) for number in share if number)
     return ShownFrames(job, share.get(0, np.zeros(job.shape[0])), tuple(others))
-
-
-def _of(version: LightAccount, planned: LightAccount, engine: int, unsure: float) -> np.ndarray:
-    """Light of a version's frames, relative to all turns of the plan."""
-    got = version.sure[engine] + unsure * version.unsure[engine]
-    return got / np.maximum(planned.wanted[engine], 1)
 
 
 def prove_given(known: Proof, frames: ShownLight, dose: GivenDose | None) -> Proof:

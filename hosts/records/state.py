@@ -165,8 +165,7 @@ class Snapshot:
 class Board:
     """The newest snapshot, and the buttons. The printing thread replaces one reference; readers never block it."""
 
-    draws_previews = True
-    """Whether the printing process draws its frames."""
+    draws_previews = True  # whether the printing process draws its frames
 
     def __init__(self, **fields: object) -> None:
         self._lock = threading.RLock()  # a signal may turn the light off, and show it, during another change

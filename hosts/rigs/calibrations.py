@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.calibration.runout import Runout
-from vamgpu.errors import BadInput, JobError, StorageError
+from vamgpu.errors import BadInput, JobError
 from vamgpu.geometry import Turntable
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.guarantees import driver_of
@@ -21,7 +20,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import repack
 from vamgpu.storage.numpy_files import read_npz
-from vamgpu.storage.reading import parse_toml, read_text
+from vamgpu.storage.reading import load_toml, malformed
 
 KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "turn", "live")
 OWN_STEPS = ("zaber", "grbl")  # motions whose device states its microsteps
@@ -37,12 +36,7 @@ NONE = "none"  # in [calibration]: do not apply this kind
 def read(folder: str | Path, kind: str | None = None) -> dict[str, Any]:
     """The tables of a result. Raises `StorageError` if it cannot be read, `BadInput` for another kind."""
     file = Path(folder) / "result.toml" if Path(folder).is_dir() else Path(folder)
-    try:
-        data = parse_toml(read_text(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise StorageError(f"cannot read the calibration {str(folder)!r}: {error}; check the path") from error
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{str(file)!r} is not valid TOML: {error}") from error
+    data = load_toml(file, "the calibration")
     if "calibration" not in data or (kind is not None and data["calibration"] != kind):
         raise BadInput(
             f"{str(file)!r} holds {data.get('calibration', 'no calibration')}; expected one of {kind or 'any'}"
@@ -226,18 +220,14 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
 
 
 def _turn(found: Calibration, numbers: Mapping[str, Any]) -> float:
-    try:
+    with malformed(f"{str(found.path)!r} has malformed numbers", "measure the turn again"):
         ratio, error = float(numbers["ratio"]), float(numbers["error"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(f"{str(found.path)!r} has malformed numbers: {error}; measure the turn again") from error
     return ratio if abs(ratio - 1.0) > SURE * error else 1.0
 
 
 def _runout(found: Calibration, numbers: Mapping[str, Any]) -> MeasuredRunout:
-    try:
+    with malformed(f"{str(found.path)!r} has malformed numbers", "measure the runout again"):
         return MeasuredRunout(Runout.read(numbers), int(numbers["projector"]), int(numbers["columns"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(f"{str(found.path)!r} has malformed numbers: {error}; measure the runout again") from error
 
 
 def _flat(found: Calibration, projector: int) -> np.ndarray | None:

@@ -243,10 +243,14 @@ def _measured_by(setup: RigFile) -> str:
 
 def part(setup: RigFile, lifted: bool) -> Guarantee:
     """Whether a part that moves, perhaps with its vial, is where its frames follow it."""
-    if lifted and setup.lift is not None and setup.lift.measured:
-        return Guarantee("part", "watched", "the encoder of the lift measures its height", sensor="lift")
-    why = "the lift counts its steps" if lifted else "no sensor shows that the part is where [travel] says"
-    return Guarantee("part", "believed", why, "use one with an encoder" if lifted else "watch it with a camera")
+    if not lifted or setup.lift is None:
+        why = "no sensor shows that the part is where [travel] says"
+        return Guarantee("part", "believed", why, "watch it with a camera")
+    scale = f"{setup.lift.microsteps:.6g} microsteps per mm"
+    if setup.lift.measured:
+        why = f"the encoder of the lift measures its height; {scale} are the file's"
+        return Guarantee("part", "watched", why, sensor="lift")
+    return Guarantee("part", "believed", f"the lift counts its steps, {scale}", "use one with an encoder")
 
 
 def _position(setup: RigFile) -> Guarantee:

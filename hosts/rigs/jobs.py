@@ -28,7 +28,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.quantity import counted
 from vamgpu.storage.folder import MANIFEST, Folder
-from vamgpu.storage.reading import parse_json, read_text
+from vamgpu.storage.reading import malformed, parse_json, read_text
 from vamgpu.travel import Travel
 from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.store import WebFolder
@@ -108,7 +108,7 @@ def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) 
     if not folder.complete:
         frames = counted(folder.frames, "frame")
         raise BadInput(f"{str(place)!r} has {frames} and is not complete; finish it with `vam solve` before printing")
-    try:
+    with malformed(f"{str(place)!r} has malformed details", "write the web again"):
         focus, (columns, rows) = folder.details["frames"]["focus"], folder.details["beam"]["pixels"]
         depths = () if focus is None else tuple(map(float, focus["planes"]))
         chosen = np.zeros(columns, np.int64) if focus is None else np.array(focus["bin"], np.int64)
@@ -116,8 +116,6 @@ def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) 
         gray, scale = GrayCurve.parse(worth["gray"]), float(worth["scale"])
         if chosen.shape != (columns,) or not 0 <= chosen.min() <= chosen.max() < max(len(depths), 1):
             raise ValueError(f"{chosen.size} columns choose among {len(depths)} focus planes")
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise StorageError(f"{str(place)!r} has malformed details: {error}; write the web again") from error
     wrap: Any = wrap_from(folder.details["wrap"])
     shown = chosen == np.arange(max(len(depths), 1))[:, None]
 

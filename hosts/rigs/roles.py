@@ -1,7 +1,6 @@
 """Roles of a rig: the base of every part, which states its abilities and opens its machine.
 
-A part is a `Section` that `vamgpu.schema.registry` names by its role, such as ``rig_motion.zaber``; another brand is
-one file with one class, registered by one line or by an entry point of its package.
+A part is a `Section` that `vamgpu.schema.registry` names by its role; another brand is one class and one line.
 """
 
 from __future__ import annotations

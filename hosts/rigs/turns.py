@@ -27,17 +27,14 @@ MICRO = 1000  # Machines light frames for whole microseconds [ns]
 
 
 def proved(jobs: tuple[PrintJob, ...], turns: int | None, speed: float, device: str | Device | None) -> Proven | str:
-    """The proof of a vial's job for these turns, or why its exposure is not known. Raises as `prove` does.
-
-    Patterns that follow oxygen through other turns are refused.
-    """
+    """The proof of a vial's job for these turns, or why its exposure is not known. Raises as `prove` does."""
     path = jobs[0].path
     if len(jobs) > 1:
         return f"{len(jobs)} projectors share the dose, and each job is proved separately"
     inputs = Folder.open(path).manifest.inputs
     oxygen = inputs.get("geometry", {}).get("oxygen")
     if oxygen and (turns != oxygen["turns"] or abs(speed * oxygen["period"] / 360.0 - 1.0) > CLOSE):
-        shown = counted(turns, "turn") if turns is not None else "turns"
+        shown = counted(turns, "turn") if turns is not None else "no --turns and turns"
         raise BadInput(f"{path!r} follows oxygen through {counted(oxygen['turns'], 'turn')} of {oxygen['period']:g} s, "
                        f"and this print has {shown} of {360.0 / speed:.4g} s; print it with --turns {oxygen['turns']} "
                        f"--speed {360.0 / oxygen['period']:.6g}, or solve it again with the turns and the period of "

@@ -197,7 +197,9 @@ class LightGuard:
                 guard = mine()
                 if guard is not None:
                     guard._signalled(signal.Signals(number).name)
-                _as_before(number, frame, before)
+                if not callable(before):
+                    raise SystemExit(128 + number)
+                before(number, frame)
 
             self._before[number] = before
             signal.signal(number, dark_first)
@@ -210,14 +212,6 @@ class LightGuard:
 
     def _at_exit(self) -> None:
         self.fail("the interpreter ends")
-
-
-def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
-    """Call the signal's handler from before the light was held."""
-    if callable(before):
-        before(number, frame)
-    else:
-        raise SystemExit(128 + number)
 
 
 class LampGate:

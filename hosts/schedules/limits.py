@@ -55,10 +55,7 @@ class LensTiming:
 
 @dataclass(frozen=True)
 class MirrorTiming:
-    """Mirrors that show a frame at each trigger. Raises `BadInput`.
-
-    The defaults are 1080p mirrors at 266 Hz and 8 bits; for a device, query its own.
-    """
+    """Mirrors that show a frame at each trigger; by default 1080p at 266 Hz and 8 bits. Raises `BadInput`."""
 
     frame: Mapping[int, Number] = field(default_factory=lambda: {8: 1 / 266, 1: 1 / 17900})
     pixels: tuple[int, int] = (1920, 1080)  # columns, rows

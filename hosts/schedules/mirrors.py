@@ -65,11 +65,7 @@ def web(
     focus: Sequence[float] = (), bits: int = 8, turning: bool = True, on: Number | None = None,
     power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a web, or a rising platform: at every pose one frame for each focus plane, frame pose · planes + plane.
-
-    advance: distance from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step.  focus: power of
-    each plane [dpt].  turning: the order of planes reverses at every pose.  on: light of a frame [s].
-    """
+    """Slots of a web or a rising platform: at each pose a frame for each focus plane, frame pose · planes + plane."""
     count, way = whole("poses", poses), exact("advance [mm]", advance)
     shown = _Engines.of(engines, bits, power)
     focus = tuple(float(fraction("focus [dpt]", each)) for each in every("focus", focus))
@@ -89,10 +85,7 @@ def turned(
     images: int | Turntable, *, speed: Number, engines: Engines, turns: int = 1, bits: int = 8,
     on: Number | None = None, power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a turning vial with triggered mirrors, at ``speed`` [deg/s], turn after turn.
-
-    images: number per turn, equally spaced, or a `Turntable`, whose angles are lit equally long at a constant speed.
-    """
+    """Slots of a vial that turns at a speed [deg/s]: equally spaced images, or the angles of a `Turntable`."""
     motion = images if isinstance(images, Turntable) else None
     number = images.angles if isinstance(images, Turntable) else whole("images", images)
     times = whole("turns", turns)

@@ -17,8 +17,7 @@ DAY = 86400 * SECOND  # the longest time for a machine [ns]
 FARTHEST = 2**62  # the last time in tables [ns]
 GREATEST = 10**30  # numbers beyond it, and below its inverse, are typing errors
 
-Number = int | float | Fraction
-"""Type of times and speeds; a float counts as its decimal: 0.1 is a tenth."""
+Number = int | float | Fraction  # type of times and speeds; a float counts as its decimal: 0.1 is a tenth
 
 
 def numeric(value: object) -> TypeGuard[Number]:

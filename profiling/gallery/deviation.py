@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from profiling.gallery import scene
+from profiling.gallery.gaussian import fit_gaussian
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.methods.papers import ROLL_TO_ROLL
 from vamgpu.metrics.nearest_points import Nearest
-from vamgpu.metrics.surface_distance import SurfaceDistance, iso_solid, print_to_print, surface_distance
+from vamgpu.metrics.surface_distance import POINTS, SurfaceDistance, iso_solid, surface_distance
 from vamgpu.reports import style
+from vamgpu.targets.solid import Solid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +67,7 @@ def _map(axis: Axes, found: SurfaceDistance, title: str) -> None:
 
 
 def _histogram(axis: Axes, found: SurfaceDistance) -> None:
-    bell = found.gaussian()
+    bell = fit_gaussian(found.distance)
     middle = 0.5 * (bell.edges[1:] + bell.edges[:-1])
     axis.stairs(bell.counts, 1e3 * bell.edges, fill=True, color=style.BLUE, alpha=0.4)
     axis.plot(1e3 * middle, bell(middle), color=style.RED)
@@ -70,7 +75,7 @@ def _histogram(axis: Axes, found: SurfaceDistance) -> None:
 
 
 def _facts(stop: float, found: SurfaceDistance) -> list[Fact]:
-    bell = found.gaussian()
+    bell = fit_gaussian(found.distance)
     name = f"stop dose {stop:g}: "
     return [Fact(name + "μ", 1e3 * bell.mean, "µm", 3), Fact(name + "σ", 1e3 * bell.sigma, "µm", 3),
             Fact(name + "R² of the fit", bell.r2, "", 3), Fact(name + "RMS", 1e3 * found.rms, "µm", 3)]  # fmt: skip
@@ -78,3 +83,17 @@ def _facts(stop: float, found: SurfaceDistance) -> list[Fact]:
 
 def _mean_of_pairs(between: np.ndarray) -> float:
     return float(between[np.triu_indices(len(between), 1)].mean())
+
+
+def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: int = POINTS) -> npt.NDArray[np.float64]:
+    """RMS distance [mm] between each pair of prints, (n, n), symmetric: the repeatability of a machine."""
+    # Both directions count equally. The inter-print RMS is the mean over pairs.
+    if len(prints) < 2:
+        raise BadInput(f"got {len(prints)} prints; expected at least two to compare")
+    surfaces = [Nearest(solid) for solid in prints]
+    square = np.zeros((len(prints), len(prints)))
+    for i, solid in enumerate(prints):
+        for j, surface in enumerate(surfaces):
+            if i != j:
+                square[i, j] = surface_distance(solid, surface, aligned=aligned, samples=samples).rms ** 2
+    return np.sqrt(0.5 * (square + square.T))

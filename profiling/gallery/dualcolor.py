@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LABELS = {
-    "sc": "SC", "sc2": "SC2", "dc": "DC, UV recomputed each pass", "dc kept": "DC, both add up",
+    "sc": "SC", "sc2": "SC2", "dc": "DC, UV recomputed", "dc kept": "DC, both add up",
     "least squares": "DC, least squares",
 }  # fmt: skip
 HUES = dict(zip(LABELS, style.HUES, strict=False))
@@ -48,7 +48,8 @@ def dualcolor(
         mark = "o" if len(number) == 1 else "-"
         axes["l"].semilogy(number, [r.undersupply for r in plan.history], mark, color=HUES[name])
         axes["l"].semilogy(number, [r.oversupply for r in plan.history], mark, color=HUES[name], alpha=0.45)
-    axes["l"].set(xlabel="pass", title="RMS of under- (strong), oversupply")
+    axes["l"].set(xlabel="pass", ylabel="RMS over D_in,max", ylim=(1e-2, 1), title="Undersupply (strong), oversupply")
+    axes["l"].legend(axes["k"].get_lines()[::2], [LABELS[name] for name in plans], loc="upper right", fontsize=7.5)
     rows = tuple((LABELS[name], _row(found[name])) for name in plans)
     header = ("rule", "D in, least", "D in, spread", "D out, greatest", "window", "mean in − out", "IoU at 0.5",
               "IoU at 0.75", "undersupply", "oversupply")  # fmt: skip
@@ -60,13 +61,15 @@ def dualcolor(
         Fact("window of two colors, least squares", found["least squares"].window, "D_in,max", 3),
     )
     caption = (
-        f"{n} × {n} voxels, {turn} angles, a diagonal of {DIAMETER:g} mm; Beer–Lambert with μR = {visible:g} for "
-        f"visible and {uv:g} for UV light. Above, effective doses divided by D_in,max; below, the voxels with at least "
+        "Words in one slice by five rules: one color of light (SC), one with a tolerance (SC2), and two colors (DC), "
+        "whose UV light inhibits the cure. Above, effective doses divided by D_in,max; below, the voxels with at least "
         "0.75 of it: correct in black, missing in blue, excess in red. SC projects the design, SC2 corrects one "
         "sinogram with 75 % allowed around the part, DC subtracts UV dose. The rule in the paper's text recomputes the "
         "UV light in each pass. Visible light accumulates and UV light does not, so the oversupply returns. Here a "
         "contrast like the paper's requires that the UV light also accumulates; least squares over both sinograms does "
-        "better. Doses are linear here: no chemistry, no depletion."
+        "better. Doses are linear here: no chemistry, no "
+        f"depletion. {n} × {n} voxels, {turn} angles, a diagonal of {DIAMETER:g} mm; Beer–Lambert with μR = "
+        f"{visible:g} for visible and {uv:g} for UV light."
     )
     return Picture(figure, caption, facts, Table(header, ("+.3f", ".3f", "+.3f", "+.3f", ".3f", ".3f", ".3f", ".4f",
                    ".4f"), rows), (PAPER,))  # fmt: skip
@@ -140,11 +143,9 @@ def _doses(axis: Axes, plans: dict[str, DualPlan], design: np.ndarray) -> None:
         dose = dose / dose[wanted].max()
         for part, dash in ((wanted, "-"), (~wanted, ":")):
             counts = np.histogram(dose[part], edges)[0] / part.sum()
-            axis.plot(0.5 * (edges[1:] + edges[:-1]), counts, dash, color=HUES[name], lw=1.4,
-                      label=LABELS[name] if dash == "-" else None)  # fmt: skip
+            axis.plot(0.5 * (edges[1:] + edges[:-1]), counts, dash, color=HUES[name], lw=1.4)
     axis.set(xlabel="dose over D_in,max", ylabel="share of voxels", yscale="log", ylim=(1e-4, 1),
              title="Doses in the part (lines) and out of it (dots)")  # fmt: skip
-    axis.legend(fontsize=7.5)
 
 
 def _row(c: Contrast) -> tuple[float, ...]:

@@ -33,7 +33,7 @@ HUES = dict(zip(LABELS, (style.ORANGE, style.QUIET, style.BLUE), strict=True))
 
 
 def joint(
-    device: Device, quick: bool = False, pixels: int = 80, angles: int = 120, iterations: int = 60, turns: int = 3,
+    device: Device, quick: bool = False, pixels: int = 80, angles: int = 120, iterations: int = 120, turns: int = 3,
     period: float = 10.0, supply: float = 5.0, firm: float = 1.25,
 ) -> Picture:  # fmt: skip
     """Words in a round slice of Ø30 mm.
@@ -69,9 +69,9 @@ def joint(
         Fact("cured outside the part, with the kinetics", 100 * found["joint"].overcured, "%", 3),
     )
     header = ("patterns", "D in, least", "D out, most", "window", "bulk", "uncured [%]", "overcured [%]", "D in before "
-              "the last turn", "seconds")  # fmt: skip
-    early = sum(values[-2] >= 1.0 for _, values in rows)
-    formats = ("+.3f", "+.3f", "+.3f", "+.3f", ".2f", ".2f", ".3f", ".1f")
+              "the last turn")  # fmt: skip
+    early = sum(values[-1] >= 1.0 for _, values in rows)
+    formats = ("+.3f", "+.3f", "+.3f", "+.3f", ".2f", ".2f", ".3f")
     return Picture(figure, _caption(n, poses, model, early), facts, Table(header, formats, rows), plans["joint"].papers)
 
 
@@ -79,14 +79,16 @@ def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
     """early: number of cases that pass the end of the induction before the last turn."""
     turns, supply = f"{model.turns} turns of {model.period:g} s", f"{model.resin.supply:g}"
     return (
-        f"{size} × {size} voxels, {poses} angles, {turns}. The figure shows effective doses: 1 is the end of the "
-        "induction; inhibitor that ultraviolet adds counts as visible dose that is still needed. Light arrives in the "
-        "order of rotation, each color is attenuated separately (μR = 0.5), C is used up, and B pairs up in between: α "
-        f"= {ALPHA:g} and k₂ = {PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
-        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay, so its ultraviolet light often "
-        "has no lasting effect. The kinetics, differentiated exactly through all turns, place ultraviolet light where "
-        f"and when its effect lasts. In {early} of {len(LABELS)} cases, the greatest dose in the part exceeds 1 before "
-        "the last turn. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, excess in red."
+        "Words in one slice, by visible light that cures and ultraviolet light that inhibits, both optimized "
+        "together. The figure shows effective doses: 1 is the end of the induction; inhibitor that ultraviolet adds "
+        "counts as visible dose that is still needed. Light arrives in the order of rotation, each color is "
+        f"attenuated separately (μR = 0.5), C is used up, and B pairs up in between: α = {ALPHA:g} and k₂ = "
+        f"{PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is assumed. The linear model, "
+        "visible − k·ultraviolet, ignores order and decay, so its ultraviolet light often has no lasting effect. The "
+        "kinetics, differentiated exactly through all turns, place ultraviolet light where and when its effect lasts. "
+        f"In {early} of {len(LABELS)} cases, the greatest dose in the part exceeds 1 before the last turn. Below each "
+        "dose, the voxels with dose ≥ 1: correct in black, missing in blue, excess in red; below the part, the "
+        f"ultraviolet light found with the kinetics. {size} × {size} voxels, {poses} angles, {turns}."
     )
 
 
@@ -112,7 +114,7 @@ def round_colors(
 def _drawn(
     plans: dict[str, ColorPlan], doses: dict[str, np.ndarray], fractions: np.ndarray, near: np.ndarray
 ) -> Figure:  # fmt: skip
-    figure, axes = style.sheet("abcd;efgh;iiij", 8.4, height_ratios=(1.0, 1.0, 0.95))
+    figure, axes = style.sheet("abcd;hefg;iiij", 8.4, height_ratios=(1.0, 1.0, 0.95))
     style.shown(axes["a"], fractions[:, :, 0], "part", cmap=style.SOLID)
     for (top, below), (name, dose) in zip(("be", "cf", "dg"), doses.items(), strict=True):
         style.shown(axes[top], dose[:, :, 0], LABELS[name], vmin=-0.2, vmax=1.5)
@@ -121,7 +123,7 @@ def _drawn(
         style.bare(axes[below])
         axes[below].grid(False)
     style.shown(axes["h"], plans["joint"].ultraviolet.numpy()[:, :, 0], "ultraviolet light", cmap=style.LIGHT)
-    axes["h"].set(xlabel="angle", ylabel="r", aspect="auto")
+    axes["h"].set(xlabel="angle θ", ylabel="r", aspect="auto")
     _spread(axes["i"], doses, fractions, np.broadcast_to(near, fractions.shape))
     for name, plan in plans.items():
         axes["j"].semilogy([s.loss for s in plan.history], color=HUES[name], label=LABELS[name])
@@ -134,8 +136,7 @@ def _row(plan: ColorPlan, model: KineticModel, before: KineticModel, firm: float
     early = plan.contrast(before)
     at = PowerVerdict.of(TurnDoses(early.in_least, early.in_most, early.out_most),
                     TurnDoses(got.in_least, got.in_most, got.out_most), Thresholds(1.0, firm))  # fmt: skip
-    return (got.in_least, got.out_most, got.window, got.bulk, 100 * got.uncured, 100 * got.overcured, 1.0 - at.early,
-            plan.seconds)  # fmt: skip
+    return (got.in_least, got.out_most, got.window, got.bulk, 100 * got.uncured, 100 * got.overcured, 1.0 - at.early)
 
 
 def _spread(axis: Axes, doses: dict[str, np.ndarray], fractions: np.ndarray, near: np.ndarray) -> None:
@@ -147,5 +148,6 @@ def _spread(axis: Axes, doses: dict[str, np.ndarray], fractions: np.ndarray, nea
             axis.step(edges[:-1], share, line, where="post", color=HUES[name],
                       label=LABELS[name] if inside else None)  # fmt: skip
     axis.axvline(1.0, color=style.INK, lw=1)
-    axis.legend(loc="upper left")
-    axis.set(yscale="log", ylim=(1e-4, None), xlabel="effective dose", title="Voxels in (solid) and out (dotted)")
+    axis.legend(loc="upper left", ncols=3)
+    axis.set(yscale="log", xlim=(-0.25, 2), ylim=(1e-4, 1), xlabel="effective dose", ylabel="share of voxels",
+             title="Voxels in the part (lines) and out of it (dots)")  # fmt: skip

@@ -17,7 +17,6 @@ from vamgpu.chemistry.printability import (
     most_turns,
     power_window,
     static_inhibition,
-    static_turns,
 )
 from vamgpu.chemistry.species import PAPER
 from vamgpu.methods import optimize
@@ -54,7 +53,7 @@ def printability(
     critical: T_opt [mJ/mm³]. firm: T_mec over it. visible, uv: μR. off: allowed error of the dose (share), and of the
     axis [mm]. limit: a full-on pixel [mW/cm²].
     """
-    n, poses, count = (40, 36, 30) if quick else (int(pixels), int(angles), 120)
+    n, poses, count = (40, 36, 30) if quick else (int(pixels), int(angles), 400)
     target, resin = round_slice(n), Thresholds(critical, firm * critical)
     one, two = _lights(target, poses, count, device, (visible, uv))
     fractions = target.on(device)
@@ -63,7 +62,8 @@ def printability(
     worst = {"one color": TurnDoses.worst(*one.doses(fractions, cases)),
              "two colors": TurnDoses.worst(*two.doses(fractions, cases))}  # fmt: skip
     every = {"one color": single, "two colors": dual}
-    figure = _drawn(_scenes(single, dual, resin, int(turns)), every, worst, resin)
+    scenes = _scenes(single, dual, resin, int(turns))
+    figure, last = _drawn(scenes, every, worst, resin), scenes[-1]
     window = power_window(dual, resin, int(turns))
     plan = plan_exposure(two, int(turns), window.middle, visible_limit=limit, ultraviolet_limit=limit)
     facts = (
@@ -82,15 +82,17 @@ def printability(
     )  # fmt: skip
     table = _table(every, worst, resin, int(turns))
     caption = (
-        "Doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the outside point that "
-        f"gets most (red), divided by T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn, no "
-        "point of the part may exceed T_opt; (b) after it, all points must exceed T_mec; (c) no point outside may "
-        "exceed T_opt. Top, a to e, as in the paper's Fig. 7: two colors at an allowed power; one color with enough "
-        "power to be firm, and with little enough not to overcure; two colors at any turn; one color with more "
-        "inhibitor and more turns. Below, the allowed power against the number of turns; pale: the range that also "
-        f"tolerates ± {100 * off:g} % in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has "
-        f"{n} × {n} voxels and {poses} angles, doses are linear, visible − uv. T_opt = {critical:g} mJ/mm³ is assumed, "
-        "not measured; 999 stands for any number of turns."
+        "The powers and numbers of turns at which a part prints, with one color of light and with two. The upper "
+        "panels show doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the outside "
+        f"point that gets most (red), divided by T_opt; the dashed line is T_mec = {firm:g} T_opt. Three conditions "
+        "hold for a print: (a) before the last turn, no point of the part exceeds T_opt; (b) after it, all points "
+        "exceed T_mec; (c) no point outside exceeds T_opt. Panels a to e, as in the paper's Fig. 7: two colors at an "
+        "allowed power; one color with enough power to be firm, and with little enough not to overcure; two colors in "
+        f"one turn; one color with more inhibitor, {last.turns} turns and {last.power / scenes[2].power:g} times the "
+        "power of panel c. Below, the allowed power against the number of turns; pale: the range that also tolerates "
+        f"± {100 * off:g} % in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has {n} × {n} "
+        f"voxels and {poses} angles; doses are linear, visible − uv; the patterns of one color are those of L-BFGS. "
+        f"T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for any number of turns."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 
@@ -125,24 +127,23 @@ def _lights(
     A, B = round_colors(target, poses, extinctions, device)
     weights = LossWeights(outside=0.45, inside=1.0 + 1e-3, most=1.06)
     found = optimize_colors(LinearModel(A, B, PLAIN, 1), target, weights, count)
-    single = optimize(A, target, iterations=max(count // 2, 20))
+    single = optimize(A, target, "lbfgs", iterations=max(count // 6, 20))
     return TurnLight(A, single.sinogram), TurnLight(A, found.visible, B, found.ultraviolet, PLAIN.subtraction)
 
 
 def _scenes(single: TurnDoses, dual: TurnDoses, resin: Thresholds, turns: int) -> tuple[_Scene, ...]:
     good, bare = power_window(dual, resin, turns), power_window(single, resin, turns)
     shy = 0.97 * resin.optical / (turns * max(single.out_most, 1e-9))
-    more = min(static_turns(single, resin, shy), 40)
-    while more < 40 and not static_inhibition(single, resin, int(more), shy).legal:
-        more += 1
-    shift = static_inhibition(single, resin, int(more), shy)
+    tried = ((n, times * shy) for times in range(1, 11) for n in range(1, 41))
+    more, power = next((each for each in tried if static_inhibition(single, resin, *each).legal), (40, shy))
+    shift = static_inhibition(single, resin, more, power)
     later = resin.delayed(max(0.5 * (shift.low + shift.high), 0.0))
     return (
         _Scene("a  two colors", dual, resin, turns, good.middle if good.legal else 1.05 * good.low),
         _Scene("b  one, firm", single, resin, turns, 1.05 * bare.low),
         _Scene("c  one, no overcure", single, resin, turns, shy),
         _Scene("d  two, one turn", dual, resin, 1, power_window(dual, resin, 1).middle),
-        _Scene("e  more inhibitor", single, later, int(more), shy),
+        _Scene("e  more inhibitor", single, later, more, power),
     )
 
 
@@ -155,7 +156,7 @@ def _turns(axis: Axes, scene: _Scene, critical: float) -> None:
     axis.plot(number, out, color=style.RED)
     axis.axhline(scene.thresholds.optical / critical, color=style.INK, lw=1)
     axis.axhline(scene.thresholds.mechanical / critical, color=style.INK, lw=1, ls="--")
-    axis.set(title=scene.title, xlabel="turns", xlim=(0, scene.turns))
+    axis.set(title=scene.title, xlabel="turns", xlim=(0, scene.turns), ylim=(0, None))
     axis.title.set_fontsize(8.5)
 
 
@@ -177,7 +178,7 @@ def _map(
     axis.axhline(1.0, color=style.QUIET, lw=1)
     axis.legend(loc="upper right")
     axis.set(xlabel="turns", ylabel="turns × power × D_in,min / T_mec", title="Allowed powers over the number of turns",
-             xlim=(0.4, most + 0.6))  # fmt: skip
+             xlim=(0.4, most + 0.6), ylim=(0.98, None))  # fmt: skip
 
 
 def _extremes(axis: Axes, every: dict[str, TurnDoses], worst: dict[str, TurnDoses]) -> None:

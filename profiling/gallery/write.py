@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from profiling.gallery.catalog import CATALOG, parameters
+from profiling.gallery.catalog import CATALOG, GROUPS, parameters
 from profiling.gallery.picture import Picture, Table
 from vamgpu.reports.style import png
 from vamgpu.storage.atomic import replacing
@@ -57,12 +57,14 @@ def markdown(picture: Picture, name: str, device: str = "", values: dict[str, An
 def contents() -> str:
     """The index."""
     opening = (
-        "In a clone, `python -m profiling.gallery NAME` draws a picture from its parameters and measures every number "
-        "on its page. `python -m profiling.gallery all` regenerates all pages. A film of a minute shows "
-        "[Studio](studio.md); `python -m profiling.gallery.studio` makes it on a job that it solves."
+        "Each picture shows one thing that the library does. Its page says how the picture was made, and lists what "
+        "was measured in that run. In a clone, `python -m profiling.gallery NAME` draws it again, and `python -m "
+        "profiling.gallery all` every one. A film of a minute shows [Studio](studio.md); `python -m "
+        "profiling.gallery.studio` makes it on a job that it solves."
     )
-    entries = [f"## [{title}]({FOLDER}/{name}.md)\n\n[![{title}]({FOLDER}/{name}.png)]({FOLDER}/{name}.md)"
-               for name, title in CATALOG.items()]  # fmt: skip
+    entries = [part for heading, some in GROUPS.items() for part in (f"## {heading}", *(
+        f"### [{title}]({FOLDER}/{name}.md)\n\n[![{title}]({FOLDER}/{name}.png)]({FOLDER}/{name}.md)"
+        for name, title in some.items()))]  # fmt: skip
     return "\n\n".join(["# Gallery", _filled(opening), *entries]) + "\n"
 
 

@@ -389,6 +389,7 @@ def test_wrong_input_is_refused() -> None:
         ({"diffusivity": -1.0}, "diffusivity"), ({"turns": 0}, "turns"), ({"period": 0.0}, "period"),
         ({"used": 1.2}, "shares"), ({"used": np.array([np.nan, 0.1])}, "shares"), ({"floor": 0.7}, "at most 0.5"),
         ({"used": np.zeros((2, 2))}, "expected"), ({"air": ("top",)}, "z high"), ({"air": "z high"}, "some of"),
+        ({"air": None}, r'air=\("z high",\)'), ({"air": [["z high"]]}, "some of"),
     ):  # fmt: skip
         with pytest.raises(BadInput, match=said):
             Oxygen(**{"diffusivity": 1e-3, "turns": 2, "period": 9.0, **wrong})

@@ -281,7 +281,7 @@ def test_oxygen_is_known_for_the_turns_of_its_job_alone(tmp_path: Path, monkeypa
     monkeypatch.setitem(globals(), "PART", PART + oxygen)
     job, rig = solved(tmp_path), read_rig("emulated")
     cases: list[tuple[int | None, float | None, str]] = [
-        (None, None, "turns of"), (3, 40, "3 turns of 9 s"), (5, 30, "5 turns of 12 s"),
+        (None, None, "no --turns"), (3, 40, "3 turns of 9 s"), (5, 30, "5 turns of 12 s"),
     ]  # fmt: skip
     for turns, speed, seen in cases:
         with pytest.raises(BadInput, match=f"5 turns of 9 s, and this print has {seen}.*--turns 5 --speed 40.*again"):

@@ -228,7 +228,7 @@ def test_the_command_tells_roles_and_guarantees(tmp_path: Path, capsys: pytest.C
     file.write_text(HEAD + BOX + MOTOR + ALP + lift.format("ttyUSB7"))
     assert main(["rig", "check", str(file)]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "lift zaber" in told and "part believed: the lift counts its steps" in told
+    assert "lift zaber" in told and "part believed: the lift counts its steps, 8063 microsteps per mm" in told
     controller = rig(BOX, MOTOR, ALP).setup.controller
     assert controller is not None and controller.port is not None
     with pytest.raises(JobError, match="lift.port: is that of another machine"):

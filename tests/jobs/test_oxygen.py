@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil, sqrt
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from small_job import BOAT
 import vamgpu as vam
 from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import BadInput, JobError
-from vamgpu.jobs.build import projection_of, target_of, with_diffusion
+from vamgpu.jobs.build import medium_of, projection_of, target_of, with_diffusion
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
 from vamgpu.methods.dual import Colors
@@ -83,14 +84,55 @@ def test_oxygen_that_is_missing_is_read_from_a_file(tmp_path: Path) -> None:
 
 
 def test_oxygen_comes_from_resin_above_and_below_the_part() -> None:
-    """The grid has room for it, centered on the part; with air above, the part's own slices are the grid."""
+    """The grid has room for it on both sides; with air above, only below."""
     device = vam.open_device()
-    plain, aired, between = (target_of(Job.parse(text), device) for text in
-                             (BOAT, JOB, JOB.replace('air = ["z high"]', 'air = ["x low"]')))  # fmt: skip
-    assert aired.grid == plain.grid
+    plain, aired, between, both = (target_of(Job.parse(text), device) for text in (BOAT, JOB, *(
+        JOB.replace('["z high"]', air) for air in ('["x low"]', '["z low", "z high"]'))))  # fmt: skip
+    assert both.grid == plain.grid
     room = ceil(3.0 * sqrt(2.0 * 1e-3 * 27.0) / plain.grid.pitch)
-    assert between.grid.shape == (*plain.grid.shape[:2], plain.grid.shape[2] + 2 * room)
-    assert np.array_equal(between.numpy()[:, :, room:-room], plain.numpy())
+    for found, above in ((aired, 0), (between, room)):
+        assert found.grid.shape == (*plain.grid.shape[:2], plain.grid.shape[2] + room + above)
+        assert np.array_equal(found.numpy()[:, :, room : room + plain.grid.shape[2]], plain.numpy())
+        assert found.volume == plain.volume and found.numpy()[:, :, :room].max() == 0.0
+    assert aired.solid is not None and np.allclose(aired.solid.bounds[:, 2], [-0.6 + 0.05 * room, 0.6 + 0.05 * room])
+
+
+def test_resin_opposite_to_air_does_not_end_with_the_part() -> None:
+    """The dose of the part is that on a grid that goes on farther; without this room it is another one."""
+    device, text = vam.open_device(), JOB.replace("150 um", "100 um")
+    job, extra, room = Job.parse(text), 24, 7
+    target = target_of(job, device)
+    A = projection_of(job.file, target, device)
+    light = np.random.default_rng(0).random(A.range.shape)
+    light *= 1.6 / np.asarray(A.T(light)).max()
+    oxygen = with_diffusion(job.file, A).oxygen
+    own, near = np.asarray(OxygenModel(A, oxygen).T(light))[:, :, room:], target.grid.cylinder()
+
+    def other(slices: int) -> np.ndarray:
+        """The dose of these slices, with others added or removed below."""
+        grid, beam = (replace(each, **{key: (*getattr(each, key)[:-1], getattr(each, key)[-1] + slices)})
+                      for each, key in ((A.grid, "shape"), (A.beam, "pixels")))  # fmt: skip
+        B = vam.Projection(grid, beam, A.motion, A.vessel, device)
+        shown = np.pad(light[:, :, max(-slices, 0) :], ((0, 0), (0, 0), (max(slices, 0), 0)))
+        return np.asarray(OxygenModel(B, oxygen).T(shown))[:, :, slices + room :]
+
+    assert np.abs(own - other(extra))[near].max() <= 1e-4
+    assert np.abs(own - other(-room))[near].max() > 0.005
+    with pytest.raises(JobError, match="rows; expected 24, or none: the part is 0.35 mm above the middle"):
+        projection_of(Job.parse(text.replace("[turn", "pixels = [26, 16]\n[turn")).file, target, device)
+
+
+def test_bodies_and_arrays_are_raised_with_the_part(tmp_path: Path) -> None:
+    device = vam.open_device("numpy")
+    bodies = JOB.replace('shape = "boat"\nheight = "1.2 mm"\n', "factor = 0.05\n") + '[[body]]\nshape = "boat"\n'
+    plain, raised = (target_of(Job.parse(bodies.replace('["z high"]', air)), device)
+                     for air in ('["z low", "z high"]', '["z high"]'))  # fmt: skip
+    assert raised.grid.shape[2] > plain.grid.shape[2] and plain.solid is not None and raised.solid is not None
+    assert np.allclose(raised.solid.bounds, plain.solid.bounds + [0.0, 0.0, 0.35])
+    np.save(tmp_path / "mu.npy", np.zeros((4, 4, 4), np.float32))
+    medium = Job.parse(JOB + '[medium]\nabsorption = "mu.npy"\npitch = "0.5 mm"\n', folder=tmp_path).file
+    assert medium.medium is not None
+    assert medium_of(medium.medium, tmp_path, 0.35).center == (0.0, 0.0, 0.35)
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,7 @@ def line_with(text: str, words: str) -> int:
         ("[frames]", "[framse]", "framse: unknown key; did you mean 'frames'?"),
         ("bits = 8", "bits = 7", "frames.bits: got 7; expected 1 or 8"),
         ("bits = 8", "shift = 3", "frames.shift: got 3; expected a list in brackets"),
+        ("bits = 8", 'shift = "3"', "frames.shift: got '3'; expected a list in brackets: [\"3\"]; correct the value"),
         ("bits = 8", "shift = [3]", "frames.shift: got [3]; expected a list of at least 2 values"),
         ("bits = 8", "shift = [3, 1, 2]", "frames.shift: got [3, 1, 2]; expected a list of at most 2 values"),
         ("angles = 360", "angles = 60000000", "turntable.angles: got 60000000; expected at most 1,000,000 angles"),

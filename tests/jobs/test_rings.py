@@ -91,6 +91,7 @@ def test_scattering_beside_what_it_does_not_know_is_refused(tmp_path: Path, othe
 
 
 @pytest.mark.parametrize(("key", "said"), [
+    ('anisotropy = "0.9"', "scattering.anisotropy: got '0.9'; expected a number without quotes: remove them"),
     ("anisotropy = 1", r"line \d+: scattering: .* −0.98 to 0.98"),
     ('anisotropy = "mie"', r"line \d+: scattering.anisotropy: got 'mie'; expected 'rayleigh'; correct the value$"),
     ('phase = [["0 deg", 1], ["170 deg", 1]]', r"line \d+: scattering: .* from 0° to 170°; .* to 180°"),

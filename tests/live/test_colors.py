@@ -12,7 +12,7 @@ from vamgpu.chemistry.species import Rates
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.live import ColorReplanner
-from vamgpu.live.colors import ReplannedColors
+from vamgpu.live.replan import Replanned
 from vamgpu.methods.joint import KineticModel, LossWeights, Pair, SpeciesFields, TwoColorResin, optimize_colors
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
@@ -56,7 +56,7 @@ def judged(state: SpeciesFields) -> tuple[float, float, float, float]:
     return float((solid & inside).sum() / (solid | inside).sum()), float(window), leak, float(dose[inside].min())
 
 
-def replanned(evaluations: float = 10, **lamps: Any) -> ReplannedColors:
+def replanned(evaluations: float = 10, **lamps: Any) -> Replanned[Any]:
     _, model, light, replanner = setup()
     believed = model.going_on(SHOWN, **lamps).state(light)
     return replanner.replan(

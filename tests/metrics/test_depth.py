@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
+import vamgpu
+from vamgpu.backend.slabs import SlabDevice
 from vamgpu.errors import BadInput
 from vamgpu.metrics.depth import signed_depth
 
@@ -86,6 +88,14 @@ def test_blocks_of_slices_give_the_same_depths(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("vamgpu.metrics.depth.TOGETHER", 0)
     monkeypatch.setattr("vamgpu.metrics.depth.FEWEST", 8)
     assert np.array_equal(signed_depth(fraction, REACH + 0.5), whole)
+
+
+def test_devices_that_share_a_part_measure_slabs_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    members = [vamgpu.open_device("numpy") for _ in range(3)]
+    monkeypatch.setattr(SlabDevice, "_run_whole", None)
+    fraction = np.random.default_rng(1).random((9, 8, 20)).round()
+    shared = signed_depth(fraction, REACH, SlabDevice("three", members))
+    assert np.array_equal(shared, signed_depth(fraction, REACH, members[0]))
 
 
 def test_both_sides_of_a_face_between_full_and_empty_are_a_surface() -> None:

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from profiling.gallery.deviation import print_to_print
+from profiling.gallery.gaussian import fit_gaussian
 from vamgpu.errors import BadInput, EmptyMesh, NotWatertight
 from vamgpu.geometry import Grid
 from vamgpu.metrics.alignment import Alignment, align
-from vamgpu.metrics.gaussian import fit_gaussian
 from vamgpu.metrics.nearest_points import Nearest, barycentric
-from vamgpu.metrics.surface_distance import drawn, iso_solid, print_to_print, surface_distance
+from vamgpu.metrics.surface_distance import drawn, iso_solid, surface_distance
 from vamgpu.targets.implicit import voxelize
 from vamgpu.targets.shapes import build
 from vamgpu.targets.solid import Solid
@@ -194,7 +195,7 @@ def test_deviations_of_a_print_are_summed_up() -> None:
     surface = Nearest(part)
     normal = surface(points + 1e-9).normal
     rough = points + np.random.default_rng(9).normal(0.03, 0.02, (len(points), 1)) * normal
-    bell = surface_distance(rough, surface, aligned=False).gaussian()
+    bell = fit_gaussian(surface_distance(rough, surface, aligned=False).distance)
     assert bell.mean == pytest.approx(0.03, abs=2e-3) and bell.sigma == pytest.approx(0.02, rel=0.1)
     assert bell.r2 > 0.97
 

@@ -100,7 +100,7 @@ def projected(A: vam.Projection, phantom: Phantom, reach: float, step: float) ->
     """
     (columns, rows), pitch = A.beam.pixels, A.beam.pitch
     u, z = ((np.arange(n) - 0.5 * (n - 1)) * pitch for n in (columns, rows))
-    rays = trace(A.vessel, np.asarray(A.range.angles)[:, None], u[None, :])  # type: ignore[arg-type]
+    rays = trace(A.vessel, np.asarray(A.motion.poses)[:, None], u[None, :])  # type: ignore[arg-type]
     middle = -np.sum(rays.start * rays.heading, axis=-1)[..., None]
     count = int(np.ceil(2.0 * reach / step))
     s = middle + (np.arange(count) + 0.5 - 0.5 * count) * (2.0 * reach / count)

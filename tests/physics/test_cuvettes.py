@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,7 @@ def test_a_resin_that_hardly_scatters_follows_beer_and_fresnel() -> None:
 
 def test_the_slope_of_the_clear_beam_counts_its_reflections(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vamgpu.optics.cuvette.MOST", 3)  # next to no light is scattered
-    (ahead, _, _), (_, slope, _), (behind, _, _) = (
+    (ahead, *_), (_, slope, *_), (behind, *_) = (
         detected(CUVETTE, 1.0, vam.Scattering(1e-9, 0.5), rate, np.array([5.0, 9.0]), 1000, 0)
         for rate in (0.101, 0.1, 0.099)
     )
@@ -118,8 +119,28 @@ def test_the_variance_is_that_of_runs_with_other_photons() -> None:
     """Ways of one photon are not independent: taken as such, total light spreads less than it does."""
     edges, resin = ring_edges(CUVETTE, 28.0, 3), vam.Scattering(2.0, 0.5)
     runs = [detected(CUVETTE, 4.0, resin, 0.02, edges, 1000, seed) for seed in range(60)]
-    ratio = np.var([light for light, *_ in runs], axis=0, ddof=1) / np.mean([each for *_, each in runs], axis=0)
+    ratio = np.var([light for light, *_ in runs], axis=0, ddof=1) / np.mean([run[2] for run in runs], axis=0)
     assert (np.abs(ratio[1:] - 1.0) < 0.6).all(), ratio
+
+
+def test_a_ring_without_photons_names_a_number_that_is_enough() -> None:
+    sharp = samples(Liquid(0.05, 0.975, 0.02), 200_000, 1)
+    with pytest.raises(BadInput, match="none of 1_000 photons reached") as caught:
+        fit_scattering(CUVETTE, sharp, photons=1000)
+    enough = re.search(r"photons=([\d_]+)", str(caught.value))
+    assert enough is not None and fit_scattering(CUVETTE, sharp, photons=int(enough[1])).misfit < 1.5
+
+
+def test_photons_that_are_given_up_are_counted(read: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What leaves and what is given up are the light that is scattered, if nothing is absorbed or leaves the sides."""
+    wide, edges = replace(CUVETTE, width=1e4, port=None), ring_edges(CUVETTE, 28.0, 3)
+    every, *_, none = detected(wide, 2.0, vam.Scattering(2.0, 0.5), 0.0, edges, 4000, 0)
+    assert none == 0.0
+    monkeypatch.setattr("vamgpu.optics.cuvette.MOST", 12)
+    some, *_, left = detected(wide, 2.0, vam.Scattering(2.0, 0.5), 0.0, edges, 4000, 0)
+    assert 0.3 < (every[1] - some[1]) / left < 0.7, "about half of it would leave the far face"
+    with pytest.raises(BadInput, match="of the beam was given up in the cuvette of .* mm"):
+        fit_scattering(CUVETTE, read, photons=8000)
 
 
 def changed(read: list[Any], sample: int, **given: Any) -> list[Any]:
@@ -127,7 +148,7 @@ def changed(read: list[Any], sample: int, **given: Any) -> list[Any]:
 
 
 def test_impossible_readings_are_refused(read: list[Any]) -> None:
-    image = read[0].image
+    image, low = read[0].image, int(np.quantile(read[2].image, 0.99))
     wrong: dict[str, tuple[list[Any], Cuvette]] = {
         "mm alone; expected two": (read[:1], CUVETTE),
         "no sample has an image": ([replace(each, image=None) for each in read], CUVETTE),
@@ -136,9 +157,14 @@ def test_impossible_readings_are_refused(read: list[Any]) -> None:
         "got no sample; expected two": ([], CUVETTE),
         "total light is .*expected it to fall": (changed(read, 2, total=read[0].total), CUVETTE),
         "saturated outside the hole": (read, replace(CUVETTE, full=float(np.quantile(image, 0.95)))),
+        f"saturated outside the hole; expected gray levels below {low}": (
+            changed(read, 2, image=np.minimum(read[2].image, low)),
+            CUVETTE,
+        ),
+        "holds float32; expected whole numbers, or full": (changed(read, 1, image=np.float32(image)), CUVETTE),
         "is dark": (changed(read, 0, image=np.full_like(image, 100)), CUVETTE),
         "shows the paper": (changed(read, 0, image=image[:60]), CUVETTE),
-        "standard deviations from what other.*give full": (changed(read, 2, total=0.99 * read[0].total), CUVETTE),
+        "standard deviations from what other": (changed(read, 2, total=0.99 * read[0].total), CUVETTE),
     }
     for message, (given, cuvette) in wrong.items():
         with pytest.raises(BadInput, match=message):

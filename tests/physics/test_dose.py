@@ -34,7 +34,7 @@ def irradiance(angle: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def light_of(A: vam.Projection) -> np.ndarray:
     u, z = ((np.arange(n) - 0.5 * (n - 1)) * A.beam.pitch for n in A.beam.pixels)
-    return irradiance(A.range.angles[:, None, None], u[:, None], z)
+    return irradiance(A.motion.poses[:, None, None], u[:, None], z)
 
 
 @every_case
@@ -45,7 +45,7 @@ def test_absorbed_dose_in_millijoule_per_cubic_millimeter(fast_device: Device, c
     x, y, z = A.grid.axes()
     i, j = (np.rint((radius * f(around)) / A.grid.pitch + 0.5 * (N - 1)).astype(int) for f in (np.cos, np.sin))
     k = rng.integers(0, SLICES, 20)
-    angles = A.range.angles[:, None]
+    angles = A.motion.poses[:, None]
     u, share = ray_to(CASES[case][0], angles, x[i], y[j], 0.999 * CASES[case][0].aperture)
     wanted = DWELL * np.sum(irradiance(angles, u, z[k]) * share, axis=0)
     dose = dose_unit(A, DWELL) * np.asarray(A.T(light_of(A)), float)[i, j, k]
@@ -65,7 +65,7 @@ def test_energy_absorbed_inside_the_printable_radius(fast_device: Device, case: 
 
     fine = 4
     u = (np.arange(fine * A.beam.pixels[0]) - 0.5 * (fine * A.beam.pixels[0] - 1)) * A.beam.pitch / fine
-    angles = A.range.angles[:, None]
+    angles = A.motion.poses[:, None]
     rays = trace(vessel, angles, u[None, :])
     middle = -np.sum(rays.start * rays.heading, axis=-1)
     apart = np.linalg.norm(rays.at(middle), axis=-1)

@@ -34,7 +34,7 @@ def sinogram(device: Device, vessel: vam.Vial | vam.Vat | None) -> tuple[np.ndar
     A = vam.Projection(
         vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH, spread=0), vam.Turntable(12, lit_share=0), vessel, device
     )
-    return A.range.angles, A.beam.columns(), A(ellipse())[..., 0]
+    return A.motion.poses, A.beam.columns(), A(ellipse())[..., 0]
 
 
 @pytest.mark.parametrize("vessel", [None, *VESSELS])

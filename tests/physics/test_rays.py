@@ -89,7 +89,7 @@ def traced_light(case: str) -> np.ndarray:
     """The back projection of the light at some voxels, ray by ray; the same for every device."""
     A = operator(case, "numpy", 180)
     (i, j), (x, y, z) = some_voxels(), A.grid.axes()
-    angles = A.range.angles
+    angles = A.motion.poses
     vessel = CASES[case][0]
     if vessel is None:
         return _straight_light(A, x[i], y[j], _shown_at(A, z)[1:-1]) * A.grid.voxel_volume / A.beam.pixel_area
@@ -102,7 +102,7 @@ def traced_light(case: str) -> np.ndarray:
 def _straight_light(A: vam.Projection, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Mean over 20 × 20 places of each voxel of the light of the pixels there, over all angles; (voxels, z)."""
     within, total = ((np.arange(20) + 0.5) / 20 - 0.5) * A.grid.pitch, np.zeros((x.size, z.size))
-    for angle in A.range.angles:
+    for angle in A.motion.poses:
         u = (y[:, None] + within)[:, None, :] * np.cos(angle) - (x[:, None] + within)[:, :, None] * np.sin(angle)
         columns = A.beam.pixels[0]
         shown = (np.floor(u / A.beam.pitch + 0.5 * columns) + 0.5 - 0.5 * columns) * A.beam.pitch
@@ -136,6 +136,6 @@ def test_back_projection_is_the_light_of_traced_rays(fast_device: Device, case: 
     A = operator(case, fast_device, 180)
     (columns, rows), pitch = A.beam.pixels, A.beam.pitch
     u, h = ((np.arange(n) - 0.5 * (n - 1)) * pitch for n in (columns, rows))
-    light = sinogram(A.range.angles[:, None, None], u[:, None], h, 6.0)
+    light = sinogram(A.motion.poses[:, None, None], u[:, None], h, 6.0)
     i, j = some_voxels()
     assert apart(A.T(light)[i, j, 1:-1], traced_light(case)) <= CASES[case][4]

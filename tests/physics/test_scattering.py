@@ -234,8 +234,9 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     asked = int(str(told.value).rpartition("photons=")[2])
     assert vam.ScatteringRings(A, resin, photons=asked, tolerance=0.02).terms, "what the message asks for is enough"
     known: dict[str, Any] = {"coefficient": 1.0}
-    wrong: list[dict[str, Any]] = [{"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))},
-                                    {"phase": ((0.0, 1.0), (1.5, -0.5), (np.pi, 0.1))}]  # fmt: skip
+    wrong: list[dict[str, Any]] = [{"coefficient": 0.0}, {"anisotropy": 1.0}, {"anisotropy": "0.9"},
+                                   {"phase": ((0.0, 1.0), (1.0, 0.5))},
+                                   {"phase": ((0.0, 1.0), (1.5, -0.5), (np.pi, 0.1))}]  # fmt: skip
     for each in wrong:
         with pytest.raises(BadInput, match="Scattering"):
             vam.Scattering(**known | each)

@@ -291,7 +291,11 @@ def test_stray_resin_is_pooled_where_it_is() -> None:
         for i, j, k in np.argwhere(dose > 0.5):
             if 3.0 < np.hypot(x[i], x[j]) <= 4.5:
                 cells.add(tuple(np.rint((np.array((x[i], x[j], z[k])) - x[0]) / width).astype(int).tolist()))
-    found = surface.stray(slabs, 0.5, 3.0, (0.0, 0.0, 9.0), 0.2)
+    proof: Any = SimpleNamespace(
+        outer=SimpleNamespace(place=(0.0, 0.0, 9.0), width=0.1), outer_share=1.0, independent=True, solid_from=0.5,
+        fine=lambda: slabs, operator=SimpleNamespace(grid=SimpleNamespace(inscribed_radius=3.0)),
+    )  # fmt: skip
+    found = surface.stray(proof)
     low, high = (np.asarray(end(list(cells), axis=0)) for end in (np.min, np.max))
     points = found.points[found.points[:, 2] < 5.0]
     np.testing.assert_allclose(points.min(axis=0), (low - 0.5) * width + x[0], atol=1e-6)

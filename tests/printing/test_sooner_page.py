@@ -17,6 +17,6 @@ def test_a_limit_buys_time_with_window() -> None:
     known: dict[str, Any] = {}
     exec(compile(code, str(PAGE), "exec"), known)
     plain, bright = known["proofs"]
-    assert bright.seconds < 1.02 * 5.0 < 0.6 * plain.seconds
+    assert bright.seconds < 1.02 * 3.0 < 0.6 * plain.seconds
     assert bright.mean_brightness > 1.5 * plain.mean_brightness
     assert abs(bright.scores.window - plain.scores.window) < 0.01

@@ -15,17 +15,18 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.metrics import score
+from vamgpu.operators.projection import prepared
 from vamgpu.optics.beams import Misaligned
 from vamgpu.printing import summary
 from vamgpu.printing.judgement import judged
-from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced, softer
+from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced
 from vamgpu.printing.simulate import simulate
 from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable, _closed_in, tolerance_table
 
 GRID = Grid((28, 28, 4), 0.2)
 BEAM = Beam((32, 4), 0.2)
 VIAL = Vial(radius=4.0, wall=0.2, resin_index=1.45, wall_index=1.47, bath_index=1.45, absorption=0.2)
-DOSE = SCENARIOS[3]
+AXIS, DOSE = SCENARIOS[1], SCENARIOS[3]
 
 
 def bar() -> np.ndarray:
@@ -102,13 +103,11 @@ def test_the_first_wrong_voxel_is_where_the_print_changes(printed: Print) -> Non
         for first in printed.table.limits(scenario.name):
             assert first.text and scenario.off is not None
             if np.isnan(first.amount):
-                operator = scenario.off(printed.A, first.farthest)
+                operator = prepared(printed.A, *scenario.off(printed.A, first.farthest))()
                 assert score(printed.dose(operator), printed.fraction, threshold=threshold).iou == 1
                 continue
-            before, beyond = (
-                score(printed.dose(scenario.off(printed.A, k * first.amount)), printed.fraction, threshold=threshold)
-                for k in (0.93, 1.07)
-            )
+            changed = (prepared(printed.A, *scenario.off(printed.A, k * first.amount))() for k in (0.93, 1.07))
+            before, beyond = (score(printed.dose(A), printed.fraction, threshold=threshold) for A in changed)
             assert before.missing + before.excess == 0 < beyond.missing + beyond.excess
             seen += 1
     assert seen >= 2
@@ -124,9 +123,8 @@ def test_a_voxel_that_prints_outside_is_found_as_well(printed: Print) -> None:
     """With a threshold just above what lies outside, excess comes first."""
     own = score(printed.dose(), printed.fraction)
     at = own.greatest_out + 0.05 * own.window * own.peak
-    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
-    table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=at, scenarios=(off,))
-    for first in table.limits(off.name):
+    table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=at, scenarios=(AXIS,))
+    for first in table.limits(AXIS.name):
         before, beyond = (
             score(printed.dose(displaced(printed.A, k * first.amount)), printed.fraction, threshold=at)
             for k in (0.85, 1.15)
@@ -139,36 +137,30 @@ def test_exposures_are_counted_and_bounded(printed: Print) -> None:
     assert 1 + rows <= printed.table.exposures <= 1 + rows + 3 * 5
 
 
-def curved(root: float) -> Any:
-    """A print whose margin falls along a parabola until it is wrong at ``root``, and what was exposed."""
-    exposed: list[float] = []
-
-    def seen(scenario: Scenario, amount: float) -> SimpleNamespace:  # noqa: ARG001
-        exposed.append(amount)
-        return SimpleNamespace(margin=0.1 * (1.0 - (amount / root) ** 2))
-
-    return SimpleNamespace(exposed=seen, nominal=SimpleNamespace(margin=0.1), amounts=exposed)
+def curved(root: float, farthest: float) -> tuple[tuple[float, float], list[float]]:
+    """The search in a print whose margin falls along a parabola to 0 at ``root``, and the amounts that it asked for."""
+    seen: Any = lambda amount: SimpleNamespace(margin=0.1 * (1.0 - (amount / root) ** 2))  # noqa: E731
+    known = {amount: seen(amount) for amount in AXIS.amounts}
+    search = _closed_in(SimpleNamespace(nominal=seen(0.0)), farthest, known)  # type: ignore[arg-type]
+    asked = [next(search)]
+    while True:
+        try:
+            asked.append(search.send(seen(asked[-1])))
+        except StopIteration as end:
+            return end.value, asked
 
 
 @pytest.mark.parametrize("root", [0.8, 1.5, -1.1, 0.6])
 def test_a_curved_margin_takes_one_more_exposure(root: float) -> None:
     """Three known margins of a parabola give its zero: one exposure confirms it, and none is made at the farthest."""
-    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
-    found = curved(root)
-    known = {amount: found.exposed(off, amount) for amount in off.amounts}
-    found.amounts.clear()
-    amount, farthest = _closed_in(found, off, np.sign(root) * off.farthest, known)
-    assert amount == pytest.approx(root, rel=1e-6) and abs(farthest) == off.farthest
-    assert found.amounts == [pytest.approx(root, rel=1e-6)]
+    (amount, farthest), asked = curved(root, np.sign(root) * AXIS.farthest)
+    assert amount == pytest.approx(root, rel=1e-6) and abs(farthest) == AXIS.farthest
+    assert asked == [pytest.approx(root, rel=1e-6)]
 
 
 def test_a_margin_that_stays_takes_the_farthest_amount_alone() -> None:
-    off = next(scenario for scenario in SCENARIOS if scenario.name == "axis of rotation")
-    found = curved(40.0)
-    known = {amount: found.exposed(off, amount) for amount in off.amounts}
-    found.amounts.clear()
-    amount, farthest = _closed_in(found, off, off.farthest, known)
-    assert np.isnan(amount) and farthest == off.farthest and found.amounts == [off.farthest]
+    (amount, farthest), asked = curved(40.0, AXIS.farthest)
+    assert np.isnan(amount) and farthest == AXIS.farthest and asked == [AXIS.farthest]
 
 
 @pytest.mark.slow
@@ -205,10 +197,10 @@ def test_what_does_not_apply_says_why() -> None:
 def off_by(limit: float) -> Scenario:
     """The axis of rotation, of which no more than a limit, and nothing below 0, means anything."""
 
-    def off(A: Projection, amount: float) -> Projection:
+    def off(A: Projection, amount: float) -> tuple[Beam, Any]:
         if not 0 <= amount <= limit:
             raise BadInput(f"{amount:g} is too far")
-        return displaced(A, amount)
+        return A.beam, displaced(A, amount).vessel
 
     return Scenario("axis", "pixel", (-0.1, 0.01, 0.02, 0.5), 2.0, off)
 
@@ -286,10 +278,13 @@ def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
 
 def test_scenarios_change_one_thing() -> None:
     A = Projection(GRID, BEAM, Turntable(4), VIAL, "numpy")
-    soft = softer(A, 0.25)
-    assert soft.vessel == VIAL
-    assert soft.beam.sigma == pytest.approx(0.75) and soft.beam.pixels == BEAM.pixels
-    assert softer(soft, 0.5).beam.sigma == pytest.approx(1.25)
+    softer, off_axis, denser = (scenario.off for scenario in SCENARIOS[:3])
+    assert softer is not None and off_axis is not None and denser is not None
+    soft, vessel = softer(A, 0.25)
+    assert vessel == VIAL
+    assert soft.sigma == pytest.approx(0.75) and soft.pixels == BEAM.pixels
+    assert softer(Projection(GRID, soft, Turntable(4), VIAL, "numpy"), 0.5)[0].sigma == pytest.approx(1.25)
+    assert off_axis(A, 0.5) == (BEAM, displaced(A, 0.5).vessel) and denser(A, 0.1) == (BEAM, clouded(A, 0.1).vessel)
     assert replace(BEAM, spread=0.1).sigma == pytest.approx(0.5)
     assert displaced(displaced(A, 0.5), -0.25).vessel == Misaligned(VIAL, 0.05)
     thin = clouded(displaced(A, 0.5), -0.1).vessel

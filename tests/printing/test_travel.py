@@ -167,6 +167,9 @@ def test_a_job_states_the_path(tmp_path: Path) -> None:
     assert stokes.turns == 4 and np.allclose(stokes.up[-1][-1], -0.010896 * (24.0 - 0.25 - 2.0), rtol=1e-3)
     helix = read('rise = "0.3 mm"\nrows = 5\n')
     assert helix.rows == 5 and np.allclose(np.diff(np.ravel(helix.up)), 0.3 / 24)
+    (tmp_path / "heights.csv").write_text("0,0\n12,-240\n")
+    with pytest.raises(JobError, match="begins with the numbers 0, 0; expected a header above them"):
+        read(MEASURED, tmp_path)
     (tmp_path / "heights.csv").write_text("time_s,speed\n0,0\n12,-240\n")
     with pytest.raises(JobError, match="travel.*heights.*height_um"):
         read(MEASURED, tmp_path)
@@ -196,6 +199,8 @@ def test_a_job_states_the_path(tmp_path: Path) -> None:
         ('rise = "0.3 mm"\nrows = 30\n', "image of 30 rows is 4.5 mm high, and patterns 1.8"),
         (STOKES.replace('"2 s"', '"30 s"'), "start is 30 s.*24 s of all turns"),
         (STOKES.replace("turns = 4", "turns = 1000000000"), "24,000,000,000 frames; expected at most 1,000,000"),
+        (STOKES.replace("1 Pa s", "1 mPa s").replace("turns = 4", "turns = 200"), "at most 300 mm, within a vial"),
+        (STOKES.replace("1 Pa s", "1 mPa s"), "237 mm along z; expected less than the beam lights, 2.7 and 1.8 mm"),
     ],
 )
 def test_a_job_without_a_path_is_refused(text: str, message: str) -> None:

@@ -170,8 +170,12 @@ def test_a_gap_of_four_pixels_bears_as_much_more_as_its_middle() -> None:
 
 def changed(proof: Proof, **changes: int) -> Judgement:
     """The judgement of a proof, but for bodies."""
-    surface = proof.judgement.surface
-    return replace(proof.judgement, surface=replace(surface, changes=replace(surface.changes, **changes)))
+    return with_surface(proof.judgement, changes=replace(proof.judgement.surface.changes, **changes))
+
+
+def with_surface(judgement: Judgement, **changes: Any) -> Judgement:
+    surface = replace(judgement.surface, **changes)
+    return replace(judgement, compared=lambda: surface)
 
 
 @pytest.mark.parametrize(
@@ -202,11 +206,11 @@ def test_what_else_is_wrong_is_said_with_its_remedy() -> None:
     assert "more than 200 µm from the surface prints incorrectly" in dim.sentence
     low, high = dim.latitude
     assert f"expose {np.sqrt(low * high):.3g} times as long" in dim.remedies and 1.0 < low < high
-    wrong = replace(judgement, surface=replace(judgement.surface, thresholds=None))
+    wrong = with_surface(judgement, thresholds=None)
     assert verdict_of(proof, wrong).latitude == (np.inf, 0.0), "not measured where a body is wrong"
-    rough = replace(judgement, surface=replace(judgement.surface, distances=np.full(20, 1.1 * judgement.pixel)))
+    rough = with_surface(judgement, distances=np.full(20, 1.1 * judgement.pixel))
     assert "5 % of the surface deviates by more than 110 µm" in verdict_of(proof, rough).sentence
-    empty = replace(judgement, surface=replace(judgement.surface, distances=np.zeros(0)))
+    empty = with_surface(judgement, distances=np.zeros(0))
     assert verdict_of(flooded, empty).sentence.startswith("Does not print: nothing prints; resin beyond")
     spiked = proof.target.numpy().copy()
     spiked[30:34, 30:34, 1] = 0.4

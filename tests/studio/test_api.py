@@ -9,7 +9,8 @@ import threading
 import time
 import tomllib
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,12 +21,14 @@ from studio_client import BOAT, Client
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.records.state import PrintState
+from vamgpu.jobs import progress
 from vamgpu.jobs.build import scene_of
 from vamgpu.jobs.curethrough import CurethroughJob
 from vamgpu.jobs.keys import keys_of
 from vamgpu.jobs.progress import recorded
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.web import WebJob
+from vamgpu.methods.plan import Step
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.folder import Entry, write_folder
 from vamgpu.studio import prints, routes
@@ -55,6 +58,35 @@ def test_the_workspace_lists_what_the_command_line_left(client: Client, tmp_path
     client("DELETE", "/jobs/bad.toml")
     after = client("GET", "/workspace")
     assert after["trash"] == 1 and len(after["jobs"]) == 1 and len(list((lab / "trash").iterdir())) == 1
+
+
+def test_pages_that_ask_at_once_lose_no_step(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks, whole, both = client.studio.engine.tasks, progress.open_file, threading.Barrier(2)
+    monkeypatch.setattr(tasks, "_start", lambda task: None)
+    task = tasks.one(client("POST", "/tasks", {"kind": "solve", "job": "boat.toml"}, 201)["id"])
+    task.pid = os.getpid()
+    monkeypatch.setattr(progress, "PERIOD", 0.0)
+
+    @contextmanager
+    def together(path: Path) -> Iterator[SimpleNamespace]:
+        def read(most: int) -> bytes:
+            data = file.read(most)
+            with suppress(threading.BrokenBarrierError):
+                both.wait(0.2)
+            return data
+
+        with whole(path) as file:
+            yield SimpleNamespace(fileno=file.fileno, seek=file.seek, readline=file.readline, read=read)
+
+    monkeypatch.setattr(progress, "open_file", together)
+    with recorded(tmp_path / "lab" / "boat.vam", "solve") as events:
+        for number in range(1, 42):
+            events.step(Step(number, 1.0, 0.1, 0.25))
+            events.share("light", "optimizing", 0.01)
+            if number == 5:
+                with ThreadPoolExecutor(2) as pages:
+                    list(pages.map(tasks.history, [task.id] * 2))
+    assert tasks.history(task.id)["iteration"] == list(range(1, 42))
 
 
 @pytest.mark.parametrize(("change", "state"), [

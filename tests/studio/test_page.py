@@ -239,6 +239,16 @@ def test_errors_of_the_machine_are_exposed_with_their_units(opened: Opened) -> N
     assert (made["kind"], made["result"], made["off"]) == ("expose", "boat.vam", {"axis": "40 um", "dose": "-5 %"})
 
 
+def test_an_error_that_was_not_measured_has_its_reason(opened: Opened) -> None:
+    found = result()
+    known = found["tolerances"]["rows"][0] | {"name": "dose", "change": "+5 %", "note": ""}
+    some = [known, *({**known, "name": "lens", "change": f"+{k} pixel", "window": None, "wrong": None, "note": "absent"}
+                     for k in range(3))]  # fmt: skip
+    page, _ = opened(f"{JOB}look", result=found | {"tolerances": found["tolerances"] | {"rows": some}})
+    page.get_by_text("Not measured: lens (absent).", exact=True).wait_for()
+    assert page.get_by_role("group", name="Tolerances").locator("tbody tr").count() == 1
+
+
 def test_progress_follows_the_events_and_a_solve_goes_on_after_a_stop(opened: Opened) -> None:
     running = task()
     page, studio = opened(f"{JOB}solve", tasks=[running], result=None)
@@ -264,7 +274,7 @@ def test_a_print_starts_only_after_its_name_is_typed(opened: Opened) -> None:
     assert start.is_disabled()
     page.get_by_label("Type boat.vam to confirm").last.fill("boat.vam")
     assert start.is_disabled(), "it is not known to print"
-    page.get_by_label("Print anyway").check()
+    page.get_by_label("Print anyway, although it does not print").check()
     start.click()
     until(page, "document.querySelectorAll('.task').length > 0")
     made = sent(studio, "tasks")[0]
@@ -298,14 +308,15 @@ def test_a_second_body_leaves_the_first_one_where_it_is(opened: Opened) -> None:
 @pytest.mark.slow
 def test_what_lies_beyond_the_printable_cylinder_is_red(opened: Opened) -> None:
     reds = []
-    for reach in (8.9, 3.0):
-        about: Any = {"jobs/boat.toml/scene": scene() | {"beam": scene()["beam"] | {"reach": reach}}}
-        page, _ = opened(f"{JOB}part", **about)
+    for reach, role in ((8.9, "print"), (3.0, "gray"), (3.0, "insert")):  # an insert need not be lit
+        server = Studio(**{"jobs/boat.toml/scene": scene() | {"beam": scene()["beam"] | {"reach": reach}}}).__enter__()
+        server.text += f'\n[[body]]\nmesh = "benchy.stl"\nrole = "{role}"\n'
+        page, _ = opened(f"{JOB}part", server=server)
         page.get_by_text("prints up to").wait_for()
         page.wait_for_timeout(400)
         image = pixels(page, page.locator("canvas.scene"))
         reds.append(((image[..., 0] > 130) & (image[..., 1] < 90) & (image[..., 2] < 110)).mean())
-    assert reds[0] == 0 and reds[1] > 0.004
+    assert reds[0] == reds[2] == 0 and reds[1] > 0.004
 
 
 def test_a_part_is_uploaded_and_another_file_is_refused(opened: Opened, tmp_path: Path) -> None:

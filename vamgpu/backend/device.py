@@ -154,11 +154,7 @@ class Device(ABC):
 
     @final
     def upload(self, values: Any, dtype: Any = None, *, table: bool = False) -> DeviceArray:
-        """Copy a NumPy array to the device, as a field or as a table.
-
-        Raises `BadInput` for values that are not finite, and for numbers that float32 or the table's type cannot hold.
-        The reference, which computes in float64, also rejects them; all devices then accept the same numbers.
-        """
+        """Copy an array to the device. Raises `BadInput` for numbers that float32 or dtype cannot hold, and for NaN."""
         source = np.asarray(values)
         return self.gather(source.shape, [source], dtype, table=table)
 
@@ -340,10 +336,7 @@ class Device(ABC):
         return exported.__dlpack__(stream=stream, **known)
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
-        """A read-only table: the NumPy array itself if device and host share memory, otherwise a copy.
-
-        The array must neither change nor be freed before `synchronize` returns.
-        """
+        """A read-only table, if possible the array itself, which must not change before `synchronize` returns."""
         return self.upload(values, table=True)
 
     def hold(self, table: DeviceArray) -> DeviceArray:
@@ -355,10 +348,7 @@ class Device(ABC):
         return self.empty(shape, self.kept("float32"), table=True)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
-        """A table for writing that is the NumPy array itself; None if device and host share no memory.
-
-        The written values are there after `synchronize` returns.
-        """
+        """A table that is the array itself, written when `synchronize` returns; None if no memory is shared."""
         return None
 
     @final

@@ -1,7 +1,6 @@
-"""A device of another process: orders go to that process, and only data that is read comes back.
+"""A device of another process: orders go there, and only data that is read comes back.
 
-A thread sends orders in batches: those that were given while the batch before was executed. Only those who ask for an
-answer wait.
+A thread sends batches, of orders given while the last one was executed; only who asks for an answer waits.
 """
 
 from __future__ import annotations
@@ -64,10 +63,7 @@ class Served:
         return Facts(self._device.name, self._device.is_gpu, self._device.real.name, self._device.description)
 
     def act(self, orders: list[Order]) -> list[Any]:
-        """Execute orders in sequence and return the wanted answers; after a failure, only free memory.
-
-        Raises `VamError`; other failures become `DeviceError`.
-        """
+        """Execute orders and return the wanted answers; after a failure, a `VamError`, only free memory."""
         left = iter(orders)
         try:
             each = ((wanted, getattr(self, f"_{name}")(*given)) for wanted, name, *given in left)

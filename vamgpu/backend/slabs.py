@@ -1,8 +1,5 @@
-"""Several devices as one: a field is cut along z, and every member stores and computes its own slices.
-
-Slices of a vial interact only in sums, and in operations that spread along z. A kernel that computes each slice
-separately runs on every member at once. One that needs a few further slices (see `Kernel`) gets them from the
-neighbors. Any other runs only on the first member, on the whole field.
+"""Several devices as one: a field is cut along z; every member stores and computes its own slices, with a few more of
+its neighbors if a kernel needs them (see `Kernel`). The first member runs other kernels, on the whole field.
 """
 
 from __future__ import annotations

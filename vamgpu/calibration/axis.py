@@ -1,8 +1,6 @@
-"""Position of the roller's axis on the mirrors, from a scan of one lit line, whose shadow has two sub-pixel edges.
+"""Position of the roller's axis on the mirrors, from a photodiode's scan of one lit line, whose shadow has two edges.
 
-Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S6. Light runs backwards
-through the projector: one column of mirrors after another sends it to a photodiode, and the roller casts a shadow on
-it. One edge gives only the end of the roller; the radius must then be known.
+Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S6.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Focus of a tunable lens, from pictures of a camera on a stage: sharpness, its peak, and the line through peaks.
+"""Focus of a tunable lens, from pictures of a grating by a camera on a stage: sharpness, its peak, the line of peaks.
 
-Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S5. The camera stands at
-known positions along the light; at each the lens steps through its powers while mirrors show a grating of lines.
+Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S5.
 """
 
 from __future__ import annotations

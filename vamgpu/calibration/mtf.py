@@ -1,9 +1,5 @@
-"""Modulation transfer function of a projector, from a camera's picture of a slanted edge.
-
-Source: ISO 12233, edge-based spatial frequency response. A straight slanted edge crosses the camera's pixels at all
-sub-pixel positions; pixels sorted by their distance from it therefore sample the edge more finely than the camera does.
-Here the line of the edge is a least-squares fit of a blurred step to all pixels, and the losses from binning and from
-differences of neighbors are compensated. The measurement includes the camera's own pixels and optics.
+"""Modulation transfer of a projector (and the camera), from a picture of a slanted edge: ISO 12233. The edge is that of
+a blurred step fitted to all pixels; losses from binning and from differences of neighbors are compensated.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""Runout of a vial's axis: a pin's position over a turn, from a camera's pictures of its shadow on lit mirrors.
-
-A pin on the turntable circles the axis of rotation once per turn. Its position across the light is the axis (the mean),
-plus its eccentricity (a sine of one period), plus the error of the bearing. The same holds for its slope: the mean is
-the lean of the axis against the mirrors' columns, the sine is the wobble of the pin, and of the vial, about the axis.
+"""Runout of a vial's axis, from pictures of a pin's shadow over a turn: its mean place is the axis, its mean slope the
+lean; their sines of one period are eccentricity and wobble, and the rest is the bearing's error.
 """
 
 from __future__ import annotations

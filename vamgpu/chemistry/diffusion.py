@@ -19,11 +19,10 @@ from vamgpu.kernels.filter import filter_rows
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.gauss import blur_planes
 from vamgpu.kernels.resample import resample
-from vamgpu.kernels.update import linear
-from vamgpu.operators.compose import NO_FLOOR
+from vamgpu.operators.compose import NO_FLOOR, combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.row_resampler import banded
-from vamgpu.operators.space import VolumeSpace, WebSpace
+from vamgpu.operators.space import VolumeSpace
 from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Diffusivity, ExposureTime, Quantity, Thickness
@@ -96,7 +95,7 @@ class Spread(LinearOperator):
     """
 
     def __init__(self, grid: Grid | WebGrid, diffusion: Diffusion, device: str | Device | None = None) -> None:
-        space = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)
+        space = VolumeSpace(grid)
         self._set_spaces(space, space, open_device(device))
         self.grid: Grid | WebGrid = grid
         self.diffusion: Diffusion = diffusion
@@ -125,22 +124,18 @@ class Spread(LinearOperator):
         blurred, source = self._scratch[2], x
         for stage, (weight, taps) in enumerate(self._stages):
             self._blur(source, taps, blurred)
-            self._add(weight, blurred, 0.0 if stage == 0 else 1.0, out)
+            combine(weight, blurred, float(stage > 0), out if stage else blurred, out)  # the first ``out`` may be NaN
             source = blurred
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         last, (first, second, _), launch = len(self._stages) - 1, self._scratch, self.device.launch
         for stage in range(last, -1, -1):
             weight, taps = self._stages[stage]
-            self._add(weight, y, 0.0 if stage == last else 1.0, out)
+            combine(weight, y, float(stage < last), out if stage < last else y, out)
             # the transpose of a blur: the same steps in the opposite order
             launch(blur_slices, source=out, taps=taps[2], blurred=first)
             launch(blur_planes, source=first, taps=taps[0], blurred=second)
             launch(filter_rows, sinogram=second, taps=taps[1], stride=1, floor=NO_FLOOR, filtered=out)
-
-    def _add(self, weight: float, x: DeviceArray, kept: float, out: DeviceArray) -> None:
-        """out = weight·x + kept·out; if kept is 0, ``out`` may hold anything."""
-        self.device.launch(linear, a=weight, x=x, b=kept, y=out if kept else x, floor=NO_FLOOR, out=out)
 
 
 STEP = 0.25
@@ -152,13 +147,10 @@ Ends = tuple[bool, bool]
 
 
 class Heat:
-    """A field after diffusion in a box, exact in time for the voxels' differences: one pass each along y, x and z.
+    """A field after diffusion in a box, exact in time for the voxels' differences: one pass each along y, x and z."""
 
-    No flux passes faces that are not fixed, nor the wall, whose voxels do not change. Beside a wall, passes along x and
-    y do not commute: they alternate in steps of D·time / pitch² ≤ `STEP`, half along y before and half after x.
-    """
-
-    # variance: D·time [mm²], half the variance of the kernel. fixed: names of faces with a value of 0.
+    # variance: D·time [mm²], half the variance of the kernel. fixed: names of faces with a value of 0. No flux passes
+    # others, nor the wall, beside which passes along x and y do not commute: they alternate in steps of `STEP` at most.
 
     def __init__(
         self, grid: Grid, variance: float, device: Device, fixed: Sequence[str] = (), wall: float = inf

@@ -1,6 +1,5 @@
-"""The four induction times of the photoinhibition paper, and the rate constants that fit them.
-
-All quantities are normalized: [A] before printing is 1, and each lamp's irradiance in the experiment is 1.
+"""The four induction times of the photoinhibition paper, and rate constants that fit them, for [A] = 1 before printing
+and an irradiance of 1 of each lamp.
 """
 
 from __future__ import annotations

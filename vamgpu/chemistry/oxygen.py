@@ -60,8 +60,8 @@ class Oxygen:
 
     def __post_init__(self) -> None:
         check(self)
-        if isinstance(self.air, str) or set(self.air) - set(FACES):
-            raise BadInput(f"Oxygen air is {self.air!r}; expected some of {', '.join(FACES)}")
+        if not isinstance(self.air, tuple | list) or any(face not in FACES for face in self.air):
+            raise BadInput(f'Oxygen air is {self.air!r}; expected some of {", ".join(FACES)}, as in air=("z high",)')
         used = np.asarray(self.used)
         if used.dtype.kind not in "iuf" or used.ndim not in (0, 1, 3):
             raise BadInput(f"Oxygen used is {used.dtype} {used.shape}; expected a number, [z] or [x, y, z]")
@@ -83,15 +83,10 @@ class Oxygen:
 
 
 class OxygenFields(NamedTuple):
-    """The state of every voxel.
+    """The state of every voxel, relative to the oxygen of air-saturated resin, or to the dose that uses it all up."""
 
-    Args:
-        used: Share of the oxygen of air-saturated resin that is missing, [x, y, z].
-        cured: X, the dose that found no oxygen, relative to the dose that uses up all of it, [x, y, z].
-    """
-
-    used: DeviceArray
-    cured: DeviceArray
+    used: DeviceArray  # oxygen that is missing, [x, y, z]
+    cured: DeviceArray  # X, the dose that found no oxygen, [x, y, z]
 
     @property
     def effective_dose(self) -> DeviceArray:

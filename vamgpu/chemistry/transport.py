@@ -59,10 +59,7 @@ FACES = ("x low", "x high", "y low", "y high", "z low", "z high")
 
 @dataclass(frozen=True)
 class Boundary:
-    """Concentration held at each face of a species' box [mol/m³, or normalized like the field]; None for no flux.
-
-    faces: in the order of `FACES`. Raises `BadInput` if one is negative.
-    """
+    """Concentration held at each of `FACES` of a box [mol/m³, or as the field]; None: no flux. Raises `BadInput`."""
 
     faces: tuple[NonNegative | None, ...] = (None,) * 6
 
@@ -176,12 +173,7 @@ class Transport:
         visible: DeviceArray | None = None,
         ultraviolet: DeviceArray | None = None,
     ) -> None:
-        """Advance a state in place under constant light: fields [mW/mm²] of both colors, None for dark.
-
-        steps: equal steps, by default the fewest that are stable for diffusion. Reactions never give negative values,
-        but their error is first order in the step: use more steps if diffusion is slow.
-        Raises `UnstableStep`, `BadInput`.
-        """
+        """Advance a state in place under constant light [mW/mm²], None for dark. Raises `UnstableStep`, `BadInput`."""
         if not isinstance(state, Concentrations):
             raise BadInput(f"state is {state!r}; expected Concentrations, as start() makes them")
         span = positive("seconds", seconds)

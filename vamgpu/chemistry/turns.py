@@ -27,23 +27,10 @@ Fields = tuple[DeviceArray, ...]
 
 
 class Turns(ABC):
-    """Species that react and diffuse through turns of the same light, one run of angles after another.
+    """Species that react and diffuse through turns of the same light, run of angles by run, with exact adjoints."""
 
-    With diffusion, half the light of a substep comes before its diffusion and half after it (Strang): reactions then
-    use up at once what diffuses. Halves of neighboring substeps react together. Every step has its exact adjoint.
-
-    Args:
-        operators: Operators of the colors on one grid, turntable and device.
-        turns: Number of turns.
-        period: Time of a turn [s], needed for diffusion.
-        runs: Number of runs of angles per turn; the light of a run arrives at once.
-        steps: Substeps within a run.
-        diffusivities: D [mm²/s] of each species; 0 for one that stays in place.
-        air: Faces of the grid where the first species is held at 0 (see `vamgpu.chemistry.transport.FACES`).
-
-    Raises:
-        BadInput: A value is out of its range.
-    """
+    # With diffusion, half the light of a substep comes before it and half after (Strang): reactions then use up at once
+    # what diffuses. air: faces where the first species is held at 0.
 
     def __init__(
         self, operators: Sequence[LinearOperator], turns: int, period: float, runs: int, steps: int,

@@ -16,8 +16,7 @@ from vamgpu.backend.kernel_cache import VARIABLE, refusal, writable
 from vamgpu.cli.remedies import for_graphics, for_processor
 from vamgpu.errors import VamError
 
-LIMIT = 120.0
-"""Time limit for a driver to list its devices or to run one kernel [s]."""
+LIMIT = 120.0  # time limit for a driver to list its devices or to run one kernel [s]
 TOLERANCE = 1e-5
 BREAKS = "a driver crashes its process; remove it or update it"
 

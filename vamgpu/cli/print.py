@@ -34,10 +34,8 @@ if TYPE_CHECKING:
 
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
 """A small boat: the demo shows the process, not the part."""
-LIVE_TURNS = 16
-"""Number of turns in which a watched print gives fresh resin the job's dose."""
-CANCELLED = 130
-"""Exit status of a print that the user stopped, as of any other command."""
+LIVE_TURNS = 16  # number of turns in which a watched print gives fresh resin the job's dose
+CANCELLED = 130  # exit status of a print that the user stopped, as of any other command
 JOBS = (".vam", ".zip", ".sl1", ".sl1s")
 """Endings of jobs that are removed for the names of runs; any other dot, as in "part-0.2", belongs to the name."""
 FAILED, INCOMPLETE, HELD = 1, 3, 4

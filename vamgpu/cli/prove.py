@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from vamgpu.jobs.run import Proven
     from vamgpu.methods.tolerances import Corner
 
-NOT_PRINTED = 3
-"""Exit status of ``vam prove --check`` if the frames do not print the part."""
+NOT_PRINTED = 3  # exit status of ``vam prove --check`` if the frames do not print the part
 
 
 @app.command

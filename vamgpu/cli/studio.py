@@ -17,8 +17,7 @@ from rich.markup import escape
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Overwrite, Settings, console
 
-WORKSPACE = "vamgpu-studio"
-"""Folder in the home folder that is the workspace unless another one is given."""
+WORKSPACE = "vamgpu-studio"  # folder in the home folder that is the workspace unless another one is given
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 """Variables of a screen on Linux; without one, a text browser would take over the terminal."""
 

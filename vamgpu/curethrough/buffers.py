@@ -6,8 +6,7 @@ import sys
 
 import numpy as np
 
-HELD = 3
-"""Number of references to an unused array: the list's, the loop's, and that of the call that counts them."""
+HELD = 3  # number of references to an unused array: the list's, the loop's, and that of the call that counts them
 
 
 class SliceBuffers:

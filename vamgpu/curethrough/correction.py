@@ -1,7 +1,6 @@
 """Gray levels that give both sides of every feature the critical dose (Pritchard et al. 2019, section SI.1).
 
-Features are runs of solid slices at a pixel. From the last slice to the first, a feature's dose is built up by full
-light in the void behind it, kept at the profile inside it, and left to decay to its front; all other slices are dark.
+From the last slice to the first, light in the void behind a feature builds up its dose, which decays to its front.
 """
 
 from __future__ import annotations

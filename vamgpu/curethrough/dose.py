@@ -13,8 +13,7 @@ from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.curethrough import BITS, expose_slices, judge_slices, pack_slices
 
-STRIP = 320
-"""Number of pixels of a row that an item of a processor computes."""
+STRIP = 320  # number of pixels of a row that an item of a processor computes
 
 
 class Stack(Protocol):

@@ -1,8 +1,6 @@
 """Features that can get their dose at this speed and power, and the speed and power that the other features need.
 
-At best, a back side at ζ_L gets full light from there to the last slice shown: later slices cannot add more.
-Therefore it can reach the critical dose if, and only if, that height is at least h_a·log10[Φ_max / (Φ_max − 1)]. A void
-between features is open if the dose falls low enough between two back sides that both need the critical dose.
+A back side cures if, and only if, h_a·log10[Φ_max / (Φ_max − 1)] or more lies between it and the last slice shown.
 """
 
 from __future__ import annotations
@@ -61,11 +59,7 @@ def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
 
 
 def least_void(printer: Printer, open_dose: float | None = None) -> float:
-    """Length in whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1.
-
-    open_dose: by default the printer's own. Light changes only at slice borders; fall and rise therefore take whole
-    slices each. A void of one slice between features never opens. Infinite if no void opens.
-    """
+    """Slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1, inf if none."""
     needed = printer.opened if open_dose is None else open_dose
     if needed >= 1.0:
         return 1.0

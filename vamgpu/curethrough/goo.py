@@ -14,11 +14,9 @@ MAGIC = b"\7\0\0\0DLP\0"
 HEAD = 195_477
 """Bytes before the first layer; among them the number of layers, columns, rows, and the height of a layer."""
 COUNT, HEIGHT, DEFINITION, MARK = 195_310, 195_332, 64, b"\r\n"
-LEVEL = 6
-"""Offset of a layer's height above the platform in its definition."""
+LEVEL = 6  # offset of a layer's height above the platform in its definition
 END = b"\0\0\0\7\0\0\0DLP\0"
-MOST = 0xFFFFFFF
-"""Pixels of the longest run."""
+MOST = 0xFFFFFFF  # pixels of the longest run
 
 
 class Goo:

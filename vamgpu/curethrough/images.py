@@ -14,8 +14,7 @@ from vamgpu.storage.images import SIGNATURE, encode_png
 
 DEEP = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 COLORS = {0: "gray", 2: "color", 3: "palette", 4: "gray with alpha", 6: "color with alpha"}
-HEAD = 33
-"""Number of bytes of a PNG that contain its properties."""
+HEAD = 33  # number of bytes of a PNG that contain its properties
 MOST_PIXELS = 1 << 27
 
 

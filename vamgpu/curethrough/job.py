@@ -24,8 +24,7 @@ from vamgpu.errors import SliceWarning
 from vamgpu.kernels.curethrough import BITS
 from vamgpu.metrics.line import length
 
-GRAY_PER_DOSE = 51
-"""Number of gray levels per critical dose in pictures of the dose: white is five critical doses."""
+GRAY_PER_DOSE = 51  # number of gray levels per critical dose in pictures of the dose: white is five critical doses
 LACKING = 0.1
 """Share of a slice height; a feature is incomplete, or a column prints incorrectly, if more than this is wrong."""
 

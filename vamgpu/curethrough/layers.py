@@ -1,7 +1,6 @@
 """Printing layer by layer (Pritchard et al. 2019, section S6): the platform stops while a slice is shown.
 
-Slice n cures the layer from ζ = n − 1 to n and is shown with the window at ζ = n. The dose jumps at every border: just
-above one, it lacks the light of the layer beyond; it therefore has the shape of a sawtooth.
+Slice n cures ζ = n − 1 to n, shown with the window at ζ = n; at every border the dose lacks the light beyond.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
 """Correction of whole columns at once, by least squares.
 
-The sequential correction is exact wherever every feature can get its dose and every void can open. Elsewhere a
-compromise is needed, and this method finds one: with Ω at the borders as unknowns, light and the doses in the middle of
-slices are banded matrices with two bands. A dose beyond the critical one on the wrong side costs its square, and light
-stays between its limits. The alternating direction method of multipliers solves this; its linear system has three bands
-and is the same for all columns. The result is used only where its own cured heights are better.
+With Ω at the borders as unknowns, light and doses are banded; the method of multipliers solves all columns at once.
 """
 
 from __future__ import annotations
@@ -19,18 +15,14 @@ from vamgpu.curethrough.dose import Judge, Stack, blocks
 from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput
 
-WEIGHT = 20.0
-"""Ratio of the penalty of a dose on the wrong side to that of the augmented Lagrangian."""
-PULL = 0.3
-"""Scale of the bounds of light in the augmented Lagrangian."""
+WEIGHT = 20.0  # ratio of the penalty of a dose on the wrong side to that of the augmented Lagrangian
+PULL = 0.3  # scale of the bounds of light in the augmented Lagrangian
 MARGINS = (2.0, 8.0, 30.0, 100.0)
 """Margins of the required doses beyond the critical one, in half levels; the best resulting column is used."""
-MOST_WEIGHED = 1 << 27
-"""Greatest number of bytes of columns that are corrected as a whole."""
+MOST_WEIGHED = 1 << 27  # greatest number of bytes of columns that are corrected as a whole
 WEIGHED_AT_ONCE = 1024
 
-StageProgress = Callable[[str, float], None]
-"""Called with the stage and the share of it that is done, 0..1."""
+StageProgress = Callable[[str, float], None]  # called with the stage and the share of it that is done, 0..1
 BetterColumns = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Rows and columns of pixels, and their levels, uint8 [slice + tail, column]."""
 

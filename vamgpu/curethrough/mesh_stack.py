@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from math import ceil
 
 import numpy as np
@@ -13,12 +14,11 @@ from vamgpu.geometry import Grid, counts, positive
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.voxelize import voxelize
 
-MARGIN = 2
-"""Default margin of empty pixels on every side."""
+MARGIN = 2  # default margin of empty pixels on every side
 SLACK = 1e-6
 
 
-class MeshStack:
+class MeshStack(AbstractContextManager["MeshStack"]):
     """Slices of a solid, uint8 [slice, y, x]: 255 if it fills a pixel, less if it fills part of it.
 
     Columns of a slice run along +x, rows along −y.
@@ -73,11 +73,5 @@ class MeshStack:
         levels = np.rint(255.0 * np.asarray(fraction)).astype(np.uint8)
         return np.ascontiguousarray(levels.transpose(2, 1, 0)[:, ::-1])
 
-    def close(self) -> None:
-        """Nothing to close."""
-
-    def __enter__(self) -> MeshStack:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
+        pass

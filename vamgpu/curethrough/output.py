@@ -10,7 +10,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -25,13 +25,11 @@ from vamgpu.storage.manifest import plain
 from vamgpu.storage.reading import open_file, parse_json, read_text
 from vamgpu.storage.zips import open_zip, unpacked
 
-RECORD = "curethrough.json"
-"""File in a folder or a zip of slices that records their settings."""
-WAITING = 64
-"""Greatest number of slices that wait to be written; more would fill the memory if the disk is slow."""
+RECORD = "curethrough.json"  # file in a folder or a zip of slices that records their settings
+WAITING = 64  # greatest number of slices that wait to be written; more would fill the memory if the disk is slow
 
 
-class Writer:
+class Writer(AbstractContextManager["Writer"]):
     """Encodes slices on all processors and puts them in order; ``names`` begins with slice 0."""
 
     def __init__(
@@ -57,9 +55,6 @@ class Writer:
         data = coded.result()
         self.written += len(data)
         self._put(name, data)
-
-    def __enter__(self) -> Writer:
-        return self
 
     def __exit__(self, failed: type[BaseException] | None, *_: object) -> None:
         try:

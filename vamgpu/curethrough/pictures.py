@@ -17,10 +17,8 @@ if TYPE_CHECKING:
     from vamgpu.curethrough.job import Outcome
 
 VOID, PRINTED, MISSING, EXCESS = (255, 255, 255), (176, 190, 208), (214, 58, 73), (240, 150, 32)
-MOST_PIXELS = 480
-"""Greatest number of pixels along a side of a picture; larger ones are thinned."""
-MOST_DOSE = 3.0
-"""Dose, in critical doses, that is drawn brightest."""
+MOST_PIXELS = 480  # greatest number of pixels along a side of a picture; larger ones are thinned
+MOST_DOSE = 3.0  # dose, in critical doses, that is drawn brightest
 CHARTED = 4
 
 

@@ -97,8 +97,7 @@ class Machine(ABC):
     critical_dose: Dose
     slice_height: Length
 
-    layered: ClassVar[bool]
-    """Whether the platform stops while a slice is shown."""
+    layered: ClassVar[bool]  # whether the platform stops while a slice is shown
 
     def _check(self, light: tuple[float, ...]) -> None:
         check(self)
@@ -206,16 +205,11 @@ class Printer(Machine):
     def __post_init__(self) -> None:
         self._check(self.light)
 
-    @property
-    def critical_intensity(self) -> float:
-        """I_c = D_c·s [mW/mm²], the least irradiance that ever cures (S25)."""
-        return self.critical_dose * self.speed
-
     @cached_property
     def phi(self) -> np.ndarray:
         """Φ of every gray level (S10), behind the dead zone; float64 [256]."""
         seen = 10.0 ** (-self.dead_zone / self.absorption_height)
-        return np.array(self.light) * seen / self.critical_intensity
+        return np.array(self.light) * seen / (self.critical_dose * self.speed)  # by I_c, the least that cures (S25)
 
     @property
     def phi_min(self) -> float:

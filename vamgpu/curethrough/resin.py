@@ -17,10 +17,8 @@ from vamgpu.storage.tables import read_table
 
 LN10 = float(np.log(10.0))
 TOP = 255
-LOST = 4.0
-"""A plug should have gelled if its expected height is more than this number of standard deviations."""
-BENT = 0.01
-"""Level of significance: if scatter is less likely to bend the heights so, they do not follow the law."""
+LOST = 4.0  # a plug should have gelled if its expected height is more than this number of standard deviations
+BENT = 0.01  # level of significance: if scatter is less likely to bend the heights so, they do not follow the law
 
 
 @dataclass(frozen=True)
@@ -159,10 +157,7 @@ class WorkingCurve:
 
 
 class _Line:
-    """The line z = c + h·log10 x of greatest likelihood through heights that scatter alike, if z > 0.
-
-    With several wavelengths it is the curve z = h·g(log10 x + c / h), where g is `LampSpectrum.depth`.
-    """
+    """The likeliest line z = c + h·log10 x of heights above 0 that scatter alike; a curve by `LampSpectrum.depth`."""
 
     def __init__(self, x: np.ndarray, z: np.ndarray, cured: np.ndarray, lamp: LampSpectrum | None) -> None:
         from scipy.optimize import minimize

@@ -9,10 +9,8 @@ import numpy as np
 from vamgpu.curethrough.dose import Stack, column_doses
 from vamgpu.curethrough.printer import Machine
 
-AT_ONCE = 256
-"""Number of columns whose doses are in memory at a time."""
-PEEKED = 24
-"""Number of slices that are examined to find the part."""
+AT_ONCE = 256  # number of columns whose doses are in memory at a time
+PEEKED = 24  # number of slices that are examined to find the part
 
 
 @dataclass(frozen=True, eq=False)

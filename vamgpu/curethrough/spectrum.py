@@ -12,8 +12,7 @@ from vamgpu.errors import BadInput
 from vamgpu.schema.quantities import numeric
 from vamgpu.storage.tables import read_table
 
-SHALLOW, DEEP, STEP = -8.0, 60.0, 0.005
-"""Range of cured heights in absorption heights, and the step of their table."""
+SHALLOW, DEEP, STEP = -8.0, 60.0, 0.005  # range of cured heights in absorption heights, and the step of their table
 
 
 class LampSpectrum:

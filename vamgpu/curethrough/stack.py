@@ -6,9 +6,10 @@ import os
 import re
 import stat
 import zipfile
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path, PurePosixPath
 from typing import Any
 from zipfile import ZipInfo
@@ -30,24 +31,18 @@ from vamgpu.storage.zips import open_zip, unpacked
 ARCHIVES = (".zip", ".sl1", ".sl1s")
 PACKED: dict[str, Any] = {".goo": Goo, ".ctb": Ctb, ".cbddlp": Ctb, ".photon": Ctb}
 """Endings of files that hold layers and settings of a printer in a format of their own."""
-AHEAD = 32
-"""Number of slices that are decoded ahead while others are processed."""
-MOST_BYTES = 1 << 28
-"""Upper limit of the size of a slice's file."""
+AHEAD = 32  # number of slices that are decoded ahead while others are processed
+MOST_BYTES = 1 << 28  # upper limit of the size of a slice's file
 MOST_PACKED = 1_000_000_000
-PREVIEW = re.compile(r"(^|/)((preview|thumb)|3d\.png$)", re.IGNORECASE)
-"""Pictures that slicers put beside the slices."""
+PREVIEW = re.compile(r"(^|/)((preview|thumb)|3d\.png$)", re.IGNORECASE)  # pictures that slicers put beside the slices
 HEIGHTS = {"config.ini": r"^layerHeight\s*=\s*([0-9.eE+-]+)\s*$", "run.gcode": r"^;\s*layerHeight\s*:\s*([0-9.eE+-]+)"}
 """Files of a zip that state the layer height, and how."""
-MOST_NAME = 1000
-"""Greatest number of characters of a name in a zip."""
-BLOCKS_HELD = 6
-"""Blocks of slices in memory at a time: two being read, two being written to the disk, and the device's."""
-PIXEL_HELD = 40
-"""Bytes per pixel that the state of a print needs in addition."""
+MOST_NAME = 1000  # greatest number of characters of a name in a zip
+BLOCKS_HELD = 6  # blocks of slices in memory at a time: two being read, two being written to the disk, and the device's
+PIXEL_HELD = 40  # bytes per pixel that the state of a print needs in addition
 
 
-class FileStack(ABC):
+class FileStack(AbstractContextManager["FileStack"]):
     """Slices in files, decoded ahead on all processors. Use it as a context manager, which closes it."""
 
     place: Path
@@ -124,9 +119,6 @@ class FileStack(ABC):
             _drop(decoding)
         self._begun.clear()
         self._pool.shutdown(cancel_futures=True)
-
-    def __enter__(self) -> FileStack:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

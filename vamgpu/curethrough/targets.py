@@ -9,8 +9,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 
-NEVER = -1e30
-"""A dose that is always present: no light is needed."""
+NEVER = -1e30  # a dose that is always present: no light is needed
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,7 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
 
-RADIUS = 12.4
-"""Outer radius of the bench's vial [mm]."""
+RADIUS = 12.4  # outer radius of the bench's vial [mm]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.diffusion import Spread
 from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.errors import BadInput, JobError, OutOfMemory, StorageError
-from vamgpu.geometry import FULL_TURN, Beam, Turntable
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable
 from vamgpu.jobs.material import diffusion_of
 from vamgpu.jobs.model import (
     MOST_ANGLES,
@@ -52,39 +52,40 @@ from vamgpu.targets.target import Target
 from vamgpu.travel import Travel
 from vamgpu.units import deg, rad
 
-SPARE = 2
-"""Pixels by which a beam extends beyond the part on every side if the job does not give its pixels."""
-ANGLES = {"angle_deg": deg, "angle_rad": rad}
-"""Columns that hold angles, and their units."""
+SPARE = 2  # pixels by which a beam extends beyond the part on every side if the job does not give its pixels
+ANGLES = {"angle_deg": deg, "angle_rad": rad}  # columns that hold angles, and their units
 
 
 def target_of(job: Job, device: Device) -> Target:
     """The voxels of the part, or of all bodies; with the resin above and below from which oxygen comes."""
-    target, oxygen = _target_of(job, device, None), job.file.resin.oxygen
-    given = None if oxygen is None or job.file.target.shape_of_grid else oxygen(used=0.0)
-    if given is None or any(face[0] == "z" for face in given.air) or not given.reach:
-        return target
-    nx, ny, nz = target.grid.shape
-    return _target_of(job, device, (nx, ny, nz + 2 * ceil(given.reach / target.grid.pitch)))
-
-
-def _target_of(job: Job, device: Device, shape: tuple[int, int, int] | None) -> Target:
-    """The target on a grid of a shape, by default that of the job."""
     section, scene, pitch = job.file.target, scene_of(job.file, job.folder), pitch_of(job.file)
+    (below, above), given = room_of(job.file), {"pitch": pitch, "margin": section.margin, "device": device}
     if scene is not None:
-        return scene.target(
-            pitch=pitch, margin=section.margin, shape=shape or section.shape_of_grid, device=device, name=job.name
-        )
-    return Target.from_mesh(
-        source_of("target.shape", section, job.folder),
-        height=section.height,
-        factor=section.factor,
-        pitch=pitch,
-        orientation=section.orientation,
-        margin=section.margin,
-        shape=shape,
-        device=device,
-    )
+        nx, ny, nz = scene.grid(pitch, margin=section.margin, shape=section.shape_of_grid).shape
+        return scene.target(shape=(nx, ny, nz + 2 * min(below, above)), name=job.name, **given)
+    source, size = source_of("target.shape", section, job.folder), {"height": section.height, "factor": section.factor}
+    part = Target.from_mesh(source, orientation=section.orientation, **size, **given)
+    if not below + above:
+        return part
+    (nx, ny, nz), solid, up = part.grid.shape, part.solid, np.array([0.0, 0.0, raised(job.file)])
+    grid = Grid((nx, ny, nz + below + above), pitch)
+    return replace(part, grid=grid, fraction=part.resampled(grid, -up, device), solid=solid and solid.translated(up),
+                   height=part.height + 2.0 * float(abs(up[2])))  # fmt: skip
+
+
+def room_of(file: JobFile) -> tuple[int, int]:
+    """Voxels of resin below and above the part from which oxygen comes; none towards a face in air."""
+    oxygen = None if file.resin.oxygen is None or file.target.shape_of_grid else file.resin.oxygen(used=0.0)
+    if oxygen is None:
+        return 0, 0
+    room = ceil(oxygen.reach / pitch_of(file))
+    return tuple(0 if f"z {end}" in oxygen.air else room for end in ("low", "high"))
+
+
+def raised(file: JobFile) -> float:
+    """Height of the part above the middle of its grid [mm], which has more room on one side."""
+    below, above = room_of(file)
+    return 0.5 * (below - above) * pitch_of(file)
 
 
 def pitch_of(file: JobFile) -> float:
@@ -105,6 +106,11 @@ def scene_of(file: JobFile, folder: Path) -> Scene | None:
         fields = section.model_dump(exclude={"mesh", "shape", "part", "roles"})
         bodies.append(Body(source_of(f"[[body]] {number + 1}, shape", section, folder), **fields))
     scene = Scene(bodies, factor=file.target.factor or 1.0, **given)
+    if up := raised(file):
+        place = scene.place
+        moved = np.array(place.move) + [0.0, 0.0, up]
+        origin = -(moved if place.rotation is None else moved @ place.rotation) / place.factor
+        scene = replace(scene, origin=tuple(origin.tolist()))
     if scene.inserts and (beside := file.without_inserts):
         raise JobError(f"got an insert with {beside}; remove one")
     return scene
@@ -164,7 +170,11 @@ def projection_of(
         motion = motion_of(file.turntable, folder, enough_angles(Beam((1, 1), file.beam.pitch), light, target.radius))
     wobble = None if file.wobble is None else wobble_of(file.wobble, motion)
     section = file.beam
-    pixels = section.pixels or covering(target, light, section.pitch, wobble)
+    needed = covering(target, light, section.pitch, wobble)
+    pixels = section.pixels or needed
+    if (up := raised(file)) and pixels[1] + 2 * SPARE < needed[1]:
+        raise JobError(f"beam.pixels has {pixels[1]} rows; expected {needed[1]}, or none: the part is {abs(up):.3g} mm "
+                       f"{'above' if up > 0.0 else 'below'} the middle, beside resin with oxygen")  # fmt: skip
     beam = beam_of(section, pixels, folder)
     if file.travel is not None and motion.travel is None:
         motion = motion.along(travel_of(file.travel, motion.angles, beam, folder))
@@ -173,7 +183,7 @@ def projection_of(
         if scene is not None and scene.inserts:
             return scene.operator(target, beam, motion, vessel, device=device)
         if file.medium is not None:
-            return medium_of(file.medium, folder).operator(target.grid, beam, motion, vessel, device=device)
+            return medium_of(file.medium, folder, up).operator(target.grid, beam, motion, vessel, device=device)
         if file.light is not None:
             A: Any = Oblique(target.grid, beam, motion, light, wobble, device)
             wobble = None
@@ -201,8 +211,8 @@ def with_diffusion(file: JobFile, A: Any, folder: Path = Path()) -> Any:
     return A if diffusion is None else Composed(A, Spread(A.grid, diffusion, A.device))
 
 
-def medium_of(section: MediumSection, folder: Path = Path()) -> SampledMedium:
-    """The arrays of a job's medium. Raises `StorageError`, `BadInput` for arrays that no medium has."""
+def medium_of(section: MediumSection, folder: Path = Path(), up: float = 0.0) -> SampledMedium:
+    """The arrays of a job's medium, raised with its part. Raises `StorageError`, `BadInput`."""
     given: dict[str, Any] = {name: getattr(section, name) for name in ("index", "absorption")}
     for name, path in given.items():
         if path is not None and path.lower().endswith(".npz"):
@@ -212,7 +222,8 @@ def medium_of(section: MediumSection, folder: Path = Path()) -> SampledMedium:
             given[name] = found.get(name, next(iter(found.values())))
         elif path is not None:
             given[name] = map_npy(folder / path)
-    return SampledMedium(section.pitch, **given, center=section.center)
+    x, y, z = section.center
+    return SampledMedium(section.pitch, **given, center=(x, y, z + up))
 
 
 def beam_of(section: BeamSection, pixels: tuple[int, int], folder: Path) -> Beam:

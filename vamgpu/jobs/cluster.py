@@ -27,16 +27,11 @@ def dask_setup(worker):
 """Start of local workers: Ctrl-C in a terminal also reaches them, but they must still return the plan. Each sees one of
 the GPUs, in turn."""
 GPUS = "/proc/driver/nvidia/gpus"
-TRIES = 100
-"""Number of times that a task restarts after its worker died."""
-AHEAD = 3
-"""Tasks per worker that start before the first result is read, if results are read in order."""
-LOOK = 5.0
-"""Time after which a silent worker is checked [s]."""
-RETURN = 5.0
-"""Time for a lost worker to return before another worker takes its slab [s]."""
-PATIENCE = 60.0
-"""Time for workers to start [s]."""
+TRIES = 100  # number of times that a task restarts after its worker died
+AHEAD = 3  # tasks per worker that start before the first result is read, if results are read in order
+LOOK = 5.0  # time after which a silent worker is checked [s]
+RETURN = 5.0  # time for a lost worker to return before another worker takes its slab [s]
+PATIENCE = 60.0  # time for workers to start [s]
 
 
 @contextmanager

@@ -46,8 +46,7 @@ path = "slices"
 dither = false
 """
 """An example of such a file."""
-DIFFERENT = 1e-3
-"""Share by which a file's layer height may differ from the job's."""
+DIFFERENT = 1e-3  # share by which a file's layer height may differ from the job's
 
 
 class PrinterSection(Section):

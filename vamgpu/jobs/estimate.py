@@ -21,14 +21,10 @@ FEW_VOLUMES, FEW_SINOGRAMS = 15, 18
 BEFORE = 8.0
 """Time before the first evaluation, in evaluations. The estimate was 0.6 to 1.4 of the processor time, on boats of 32
 to 96 voxels in a vial, for 20 and 40 evaluations of the default and of L-BFGS."""
-AFTER = 8.0
-"""Time of packing, writing and the coarse verdict, in evaluations: 3 to 8 on parts of 30 to 66 voxels."""
-COMPILED = 6.0
-"""Compile time of the other 30 to 40 kernels over that of the timed ones, if the driver caches none."""
-PASSES = 20
-"""Time of the other work of an evaluation (products of pairs, losses, the window), in sums over patterns."""
-TIMED = 3
-"""Number of timed runs; the shortest one counts, because the others waited for a busy machine."""
+AFTER = 8.0  # time of packing, writing and the coarse verdict, in evaluations: 3 to 8 on parts of 30 to 66 voxels
+COMPILED = 6.0  # compile time of the other 30 to 40 kernels over that of the timed ones, if the driver caches none
+PASSES = 20  # time of the other work of an evaluation (products of pairs, losses, the window), in sums over patterns
+TIMED = 3  # number of timed runs; the shortest one counts, because the others waited for a busy machine
 
 
 @dataclass(frozen=True)

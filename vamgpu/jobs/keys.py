@@ -27,10 +27,8 @@ FILES: dict[str, type[Any]] = {
     "vial": JobFile, "web": WebFile, "machine": MachineFile, "slices": CurethroughFile, "cuvettes": CuvetteFile
 }  # fmt: skip
 """Kind of file → its model."""
-EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
-"""Kind of file → a valid example."""
-BARE = re.compile(r"[A-Za-z0-9_-]+")
-"""Keys without quotes."""
+EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}  # kind of file → a valid example
+BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys without quotes
 HEADS = {
     "vial": "Jobs of a vial or another vessel that turns",
     "web": "Jobs of an endless web",

@@ -62,8 +62,7 @@ USED: dict[str, tuple[Any, float]] = {"used": (Used, 0.0)}
 LENGTH = Quantity("a length", least=0.0, example="25 um")
 MOST_ANGLES = 1_000_000
 """Largest number of angles per turn: more are a typing error, and would fail after minutes for lack of memory."""
-Plain: Any = Field(default={}, validate_default=True)
-"""An optional table."""
+Plain: Any = Field(default={}, validate_default=True)  # an optional table
 
 
 Role = Literal["print", "gray", "keep out", "don't care", "insert"]

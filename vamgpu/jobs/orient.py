@@ -19,8 +19,7 @@ from vamgpu.printing.pack import pack
 from vamgpu.printing.simulate import simulate
 from vamgpu.targets.mesh import Solid, load_mesh
 
-COARSER = 2.5
-"""Ratio of the voxels and pixels of the search to those of the job."""
+COARSER = 2.5  # ratio of the voxels and pixels of the search to those of the job
 ITERATIONS = 20
 BEST = 5
 GOLDEN = np.pi * (3.0 - 5.0**0.5)

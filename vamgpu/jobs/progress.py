@@ -20,16 +20,12 @@ from vamgpu.methods.plan import Step
 from vamgpu.storage.atomic import locked
 from vamgpu.storage.reading import open_file, parse_json
 
-PERIOD = 0.25
-"""Shortest interval between two lines on the share that is done [s]."""
+PERIOD = 0.25  # shortest interval between two lines on the share that is done [s]
 SLICES, COST = 0.5, 20.0
 """Shortest interval between slices: [s], and relative to the time of one, so that they take at most 5 % of a run."""
-TRIES = 20
-"""Attempts to lock the file."""
-MOST_READ = 1 << 22
-"""Bytes that are read at a time."""
-STOPPED = 130
-"""Exit status of a run that its user stopped."""
+TRIES = 20  # attempts to lock the file
+MOST_READ = 1 << 22  # bytes that are read at a time
+STOPPED = 130  # exit status of a run that its user stopped
 
 Slice = Callable[[], "tuple[np.ndarray, np.ndarray] | None"]
 
@@ -240,5 +236,4 @@ class RunProgress:
         self.wall = wall
 
 
-STEP = ("iteration", "evaluations", "loss", "window")
-"""Numbers of a `Step`."""
+STEP = ("iteration", "evaluations", "loss", "window")  # numbers of a `Step`

@@ -20,13 +20,10 @@ from vamgpu.schema.registry import name_of, nearest_of
 from vamgpu.storage import reading
 from vamgpu.storage.reading import parse_toml
 
-MOST_REPORTED = 100
-"""Number of invalid values of a file that one message lists."""
+MOST_REPORTED = 100  # number of invalid values of a file that one message lists
 
-KINDS = {"rig": "a rig", "target": "a job"}
-"""Table by which a file of another kind is known → its kind."""
-AT_LINE = re.compile(r"at line (\d+)")
-"""Place of an error in a message of the TOML parser."""
+KINDS = {"rig": "a rig", "target": "a job"}  # table by which a file of another kind is known → its kind
+AT_LINE = re.compile(r"at line (\d+)")  # place of an error in a message of the TOML parser
 
 File = TypeVar("File", bound=BaseModel)
 

@@ -69,18 +69,14 @@ from vamgpu.schema import write
 from vamgpu.schema.read import read
 from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Folder, check_place, digest
+from vamgpu.storage.reading import malformed
 from vamgpu.targets.target import Target
 
-CHECKPOINT = 300.0
-"""Interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker."""
-RARELY = 10.0
-"""Shortest interval between saved plans, relative to the time that the run takes to start."""
-TRIES = 100
-"""Number of times that a run continues after workers were lost."""
-BLOCK = 1 << 26
-"""Bytes of a target that are hashed at a time."""
-StageProgress = Callable[[str, float], None]
-"""Receives progress: the stage, and the share of it that is done, 0..1."""
+CHECKPOINT = 300.0  # interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker
+RARELY = 10.0  # shortest interval between saved plans, relative to the time that the run takes to start
+TRIES = 100  # number of times that a run continues after workers were lost
+BLOCK = 1 << 26  # bytes of a target that are hashed at a time
+StageProgress = Callable[[str, float], None]  # receives progress: the stage, and the share of it that is done, 0..1
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,16 +394,12 @@ def prove(
 def _recorded(folder: Folder) -> tuple[PlanRecord, dict[str, Any], float]:
     """Plan, lamp and resin, and strength of a second color (0 without one), from a manifest. Raises `StorageError`."""
     inputs = folder.manifest.inputs
-    try:
+    with malformed(f"the manifest of {str(folder.path)!r} is malformed", "write the job with `vam solve`"):
         exposure, colors = dict(inputs.get("print") or {}), inputs.get("colors")
         signature(simulate).bind(None, None, None, **exposure)
         record = PlanRecord.read(inputs.get("plan") or IMPORTED)
         record = replace(record, pareto=tuple(dict(point) for point in inputs.get("pareto") or ()))
         return record, exposure, float(colors["strength"]) if colors else 0.0
-    except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(
-            f"the manifest of {str(folder.path)!r} lacks {error}, or it is malformed; write the job with `vam solve`"
-        ) from error
 
 
 def _judged_target(folder: Folder, A: Any, device: Device) -> Target:

@@ -16,8 +16,7 @@ from vamgpu.jobs.run import is_interrupted, prove, solve
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.folder import Folder
 
-MOST = 100_000
-"""Largest number of points of a sweep; more are a mistake."""
+MOST = 100_000  # largest number of points of a sweep; more are a mistake
 
 
 @dataclass(frozen=True)
@@ -32,15 +31,6 @@ class Point:
     error_rate: float = float("nan")  # share of voxels on the wrong side of that threshold
     seconds: float = float("nan")  # exposure predicted by the proof [s]; NaN if the job has no irradiance
     error: str = ""  # reason why the point failed; "" if it did not
-
-
-@dataclass(frozen=True)
-class _Task:
-    """Function that a worker runs."""
-
-    job: Path
-    settings: tuple[str, ...]
-    point: Point
 
 
 def values_of(text: str) -> tuple[str, list[str]]:
@@ -82,7 +72,7 @@ def sweep(
         Point(number, dict(zip(vary, map(str, values), strict=True)), place / f"{number:04}.vam")
         for number, values in enumerate(combinations, 1)
     ]
-    tasks = [_Task(source, tuple(settings), point) for point in points]
+    tasks = [(source, tuple(settings), point) for point in points]
     with workers(cluster, checked.file.solve.device) as each:
         for found in each(_solved, tasks):
             points[found.number - 1] = found
@@ -91,11 +81,11 @@ def sweep(
     return points
 
 
-def _solved(task: _Task) -> Point:
-    """Solve and prove one point; its error is returned."""
-    point = task.point
+def _solved(task: tuple[Path, tuple[str, ...], Point]) -> Point:
+    """Solve and prove one point of a job with settings; its error is returned."""
+    source, settings, point = task
     try:
-        job = read_job(task.job, (*task.settings, *(f"{key}={value}" for key, value in point.values.items())))
+        job = read_job(source, (*settings, *(f"{key}={value}" for key, value in point.values.items())))
         if not _is_done(point.folder, job.given):
             solve(job, point.folder, overwrite=point.folder.exists())
         proof = prove(point.folder, job.file.solve.device).proof

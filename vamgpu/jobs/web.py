@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -35,8 +34,7 @@ from vamgpu.webs.segment import Segment
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.stream import Stream
 
-RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
-"""Index ratios of the paper's Fig. S9."""
+RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)  # index ratios of the paper's Fig. S9
 
 
 class WebTarget(Section):
@@ -231,22 +229,13 @@ def solve_web(
         def spread(numbers: range, scale: float | None) -> Iterator[Segment]:
             left = list(numbers)
             if scale is None and left:  # the first segment sets the brightness of a full-on pixel
-                for segment in each(_segment, [_Task(job, left.pop(0), None)]):
+                for segment in each(_segment, [(job, left.pop(0), None)]):
                     scale = _found(segment).scale
                     yield segment
-            for segment in each(_segment, [_Task(job, number, scale) for number in left], ordered=True):
+            for segment in each(_segment, [(job, number, scale) for number in left], ordered=True):
                 yield _found(segment)
 
         return stream.write(path, overwrite=overwrite, progress=advance, spread=spread)
-
-
-@dataclass(frozen=True)
-class _Task:
-    """Task of a worker."""
-
-    job: WebJob
-    number: int
-    scale: float | None
 
 
 def _found(segment: Segment | VamError) -> Segment:
@@ -255,13 +244,14 @@ def _found(segment: Segment | VamError) -> Segment:
     return segment
 
 
-def _segment(task: _Task) -> Segment | VamError:
+def _segment(task: tuple[WebJob, int, float | None]) -> Segment | VamError:
     """Solve a segment; its error is returned, because every worker would fail."""
     global _latest  # noqa: PLW0603 - a worker solves segments of one job, one after the other
+    job, number, scale = task
     try:
-        if _latest is None or _latest[0] != task.job:
-            _latest = task.job, stream_of(task.job)
-        return _latest[1].alone(task.number, task.scale)
+        if _latest is None or _latest[0] != job:
+            _latest = job, stream_of(job)
+        return _latest[1].alone(number, scale)
     except VamError as error:
         return error
 

@@ -12,7 +12,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.geometry import positive
 from vamgpu.live.fields import scaled
-from vamgpu.live.replan import ROUNDING, SURE, Forecast, allowed_turns, finite
+from vamgpu.live.replan import ROUNDING, SURE, Forecast, Replanned, allowed_turns, finite
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.joint.descent import ColorDescent, gains_of
@@ -23,16 +23,6 @@ from vamgpu.methods.state import OptimizerState
 from vamgpu.metrics import score
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import extent
-
-
-@dataclass(frozen=True, eq=False)
-class ReplannedColors:
-    """Light of both colors of each of the turns that remain."""
-
-    light: Pair  # of one turn, [angle, r, z] on the device, within the projectors' limits; dark for a stop
-    kept: Forecast  # forecast of the print with the running plan
-    expected: Forecast  # forecast with this light; its ``turns`` is the moment to stop
-    evaluations: float  # projector evaluations spent, each one forward and one back projection of both colors
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +65,7 @@ class ColorReplanner:
     def replan(
         self, model: KineticModel, delivered: SpeciesFields, plan: Pair, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0,
-    ) -> ReplannedColors:  # fmt: skip
+    ) -> Replanned[Pair]:  # fmt: skip
         """The best light for the rest of a print with the given number of evaluations.
 
         Args:
@@ -122,7 +112,7 @@ class ColorReplanner:
             forecast, found = self._judged(count, model.going_on(count, state).expose(lowered), judge, loss)
             if found < best_loss:
                 best = (lowered, forecast)
-        return ReplannedColors(best[0], kept, best[1], spent)
+        return Replanned(best[0], kept, best[1], spent)
 
     def _start(
         self, model: KineticModel, plan: Pair, planned: int, counts: Sequence[int], rise: float, before: float

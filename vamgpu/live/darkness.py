@@ -30,16 +30,13 @@ Darkness = tuple[float, np.ndarray]
 
 
 class Darkening:
-    """How dark voxels of some doses make the images, as a share of the planned print's darkness.
-
-    The darkness is a sum of optical depths, weighted by those of the planned print less their mean: the gain of the
-    camera cancels. dose: of the planned print when its last image is taken, [x, y, z] on the device.
-    """
+    """How dark voxels of some doses make the images, as a share of the planned print's darkness."""
 
     depth: np.ndarray
     """Mean optical depth of that image, [row, column]."""
 
     def __init__(self, tomograph: Tomograph, conversion: Callable[[Any], np.ndarray], dose: DeviceArray) -> None:
+        # darkness: sum of optical depths, weighted by the planned print's less their mean: the camera's gain cancels
         A, camera, planned = tomograph.operator, tomograph.camera, dose.numpy()
         self._resin, self._conversion = tomograph.turbidity, conversion
         cured = self._resin.extinction_at(conversion(planned)).astype(np.float32)
@@ -65,10 +62,7 @@ class Darkening:
         return -float((self._pixels * level).sum()), picked(dose, self._places)
 
     def turbidity(self, seen: Sequence[Darkness], prior: Prior) -> tuple[float, float]:
-        """Extinction over the assumed one, and its standard deviation: most probable with gain and initial dose.
-
-        seen: of successive turns; darkness counts from the first.
-        """
+        """Extinction of successive turns over the assumed one, and its deviation: most probable with gain and dose."""
         error = self._resin.error
         if not error:
             return 1.0, 0.0

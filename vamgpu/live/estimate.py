@@ -461,10 +461,7 @@ class Estimator:
 
 
 def alike(voxels: np.ndarray, residuals: np.ndarray) -> float:
-    """Number of voxels with a common error, which count as one: variance of blocks, over that of independent voxels.
-
-    voxels: indices (3, voxels).
-    """
+    """Number of voxels (3, voxels) with one error, which count as one: variance of blocks over that of voxels alone."""
     _, block = np.unique(voxels // BLOCK, axis=1, return_inverse=True)
     together, apart = np.square(np.bincount(block.ravel(), residuals)).sum(), np.square(residuals).sum()
     return float(max(together / apart, 1.0)) if apart > 0.0 else 1.0

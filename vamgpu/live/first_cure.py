@@ -20,11 +20,7 @@ DARKEST = 1e-6
 
 
 def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:
-    """Fit the extinction of fully cured resin, and the sensitivity, to the images of the last turn of a print.
-
-    The resin was fresh, and its kinetics are those of the record's setup. Raises `BadInput` if nothing has cured, or no
-    extinction explains the images, `StorageError`.
-    """
+    """Extinction of fully cured resin, from the last images of a record in fresh resin. Raises `BadInput`."""
     from scipy.optimize import least_squares
 
     told, loop = record.decided(), record.loop()

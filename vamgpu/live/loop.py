@@ -145,26 +145,15 @@ class LiveState:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A completed turn: its number, remaining turns, the previous state; the light shown, pending and committed."""
+    """A completed turn: the state after it, with the light decided before, and what is known without its images."""
 
-    # shown, pending: as far below where they were shown as the part has sunk
-    # acted: light that has reacted, and even: its dose as planned
-    # clear: level of images before anything cured, and level: now; cured: share of the planned print's darkening now
+    # the state's shown and pending light is as far below where it was shown as the part has sunk
 
-    turn: int
-    left: int
-    before: LiveState
-    shown: DeviceArray
-    pending: DeviceArray
-    acted: DeviceArray
-    even: DeviceArray
-    committed: tuple[np.ndarray, ...]
-    clear: np.ndarray | None
-    level: np.ndarray | None
-    sinking: Sinking
-    cured: float
-    images: str
-    darkness: tuple[Darkness, ...]
+    state: LiveState
+    left: int  # remaining turns
+    acted: DeviceArray  # light that has reacted
+    even: DeviceArray  # its dose as planned
+    cured: float  # share of the planned print's darkening now
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,12 +216,12 @@ class LiveLoop:
             The state after it, and the decision.
         """
         at, seen, laps = self._after(state, frames), state.seen, _Laps()
-        repeated = at.images and at.images == state.images
+        repeated = at.state.images and at.state.images == state.images
         doubt = state.doubt or ("the camera repeats its images" if repeated else "")
         try:
             if doubt:
                 decision = self._by_plan(at, doubt)
-            elif at.turn % self.every:
+            elif at.state.turn % self.every:
                 decision = self._kept(at, f"decided after every {counted(self.every, 'turn')}")
             else:
                 depths = self.tomograph.measure(frames)
@@ -246,13 +235,11 @@ class LiveLoop:
             decision = self._kept(at, f"refused: {error}")
         cured = decision.conversion or (None if seen is None else seen.cured)
         decision = replace(decision, stages=laps.seconds, conversion=cured)
-        found, sinking = state.values, at.sinking
+        found, sinking = state.values, at.state.sinking
         if told := decision.parameters:
             found, sinking = np.array([told[name][0] for name in NAMES]), self._sinking(at, told["height"])
-        after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, found, at.clear, at.level, sinking, at.images,
-                          decision.doubt, at.darkness)  # fmt: skip
-        return after, decision
+        decided = {name: getattr(decision, name) for name in ("light", "turns", "version", "doubt")}
+        return replace(at.state, seen=seen, values=found, sinking=sinking, **decided), decision
 
     def _after(self, state: LiveState, frames: np.ndarray) -> _Turn:
         fade = exp(-1.0 / self.resin.dark)
@@ -273,9 +260,10 @@ class LiveLoop:
             if share < EARLY and more < ONSET:  # a bubble or dust stays as dark as it was; resin that cures does not
                 clear = level
             last = level
-        left, seen = max(state.turns - 1, 0), digest(some(frames))
-        return _Turn(state.turn + 1, left, state, shown, pending, acted, even, tuple(committed), clear, last, sinking,
-                     share, seen, darkness)  # fmt: skip
+        after = replace(state, turn=state.turn + 1, shown=shown, pending=pending, committed=tuple(committed),
+                        clear=clear, level=last, sinking=sinking, images=digest(some(frames)),
+                        darkness=darkness)  # fmt: skip
+        return _Turn(after, max(state.turns - 1, 0), acted, even, share)
 
     def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
         """An array on the device of the plan; the last few read-only arrays are kept there.
@@ -334,18 +322,19 @@ class LiveLoop:
             yield state, decision
 
     def _kept(self, at: _Turn, reason: str) -> Decision:
-        stop, before = not at.left or at.turn + self.ahead >= self.longest, at.before
-        return Decision(at.turn, "stop" if stop else "keep", before.version, before.light, at.left, reason=reason)
+        stop, now = not at.left or at.state.turn + self.ahead >= self.longest, at.state
+        return Decision(now.turn, "stop" if stop else "keep", now.version, now.light, at.left, reason=reason)
 
     def _by_plan(self, at: _Turn, doubt: str) -> Decision:
         """The planned light until images are as dark as planned, with at most the dose of the plan."""
-        before, spent = at.before, self._turns_of(added(at.shown, *map(self.field, at.committed)))
+        now = at.state
+        spent = self._turns_of(added(self.field(now.shown), *map(self.field, now.committed)))
         turns = max(floor(self.planned - spent + ROUNDING), 0)
-        if at.cured >= 1.0 or at.turn + self.ahead >= self.longest:
+        if at.cured >= 1.0 or now.turn + self.ahead >= self.longest:
             turns = 0
-        swapped = not np.array_equal(before.light, self.light)
+        swapped = not np.array_equal(now.light, self.light)
         action = "stop" if not turns else "swap" if swapped else "keep"
-        return Decision(at.turn, action, before.version + swapped, self._planned, turns,
+        return Decision(now.turn, action, now.version + swapped, self._planned, turns,
                         reason=f"by the plan: {doubt}", doubt=doubt)  # fmt: skip
 
     def _turns_of(self, light: DeviceArray) -> float:
@@ -355,7 +344,7 @@ class LiveLoop:
     def _sinking(self, at: _Turn, height: tuple[float, float]) -> Sinking:
         """How the part sinks, by the height of the light so far above it, and its deviation [mm]."""
         distance, error = np.array(height) / self.estimator.operator.beam.pitch
-        return at.sinking.estimated(-distance, error, self._turns_of(at.acted))
+        return at.state.sinking.estimated(-distance, error, self._turns_of(at.acted))
 
     @cached_property
     def _planned(self) -> np.ndarray:
@@ -378,9 +367,9 @@ class LiveLoop:
         level = float(np.nextafter(np.float32(SIGNIFICANT), np.float32(inf)))
         if above(Parts(seen.cured, seen.cured, -inf), level)[0, IN, 1] < ENOUGH:  # of the judged cylinder
             # A weak lamp must not end a print before anything is seen.
-            some = max(at.left, min(1, self.longest - at.turn - self.ahead))
+            some = max(at.left, min(1, self.longest - at.state.turn - self.ahead))
             return self._kept(replace(at, left=some), "nothing cured yet")
-        turbid, unsure = self._darkening.turbidity(at.darkness, self.prior)
+        turbid, unsure = self._darkening.turbidity(at.state.darkness, self.prior)
         field = scaled(seen.field, 1.0 / turbid)
         cured = self.tomograph.conversion(field)
         deviation = self._deviation(depths, field, cured, turbid)
@@ -390,20 +379,21 @@ class LiveLoop:
         told = {"checks": {"conversion": (found.unexplained, self.trust.conversion)}, "conversion": cured}
         if doubt := self.trust.of_estimate(found):
             return replace(self._by_plan(at, doubt), **told)
-        sinking, longest = self._sinking(at, found.parameters["height"]), max(self.longest - at.turn - self.ahead, 0)
+        sinking = self._sinking(at, found.parameters["height"])
+        longest = max(self.longest - at.state.turn - self.ahead, 0)
         A, height = self.estimator.operator, None
         if speed := sinking.speed * A.beam.pitch:
             longest = min(longest, max(at.left, 1))  # in further turns the part would sink further
             height = -0.5 * speed * longest
         calibrated = self.estimator.nearly(found.values, at.acted, found.lit, height)
-        more = calibrated.T(added(at.pending, *map(self.field, at.committed)))
+        more = calibrated.T(added(self.field(at.state.pending), *map(self.field, at.state.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
         turns = self.ahead, self.ahead + longest
         ended, going_on = (lowered(delivered, speed * each / A.grid.pitch) for each in turns)
         solid, consumed = self.resin.solid, float(found.values[6])  # inhibitor that is gone counts as dose
         gel_error = min(hypot(self.resin.gel_error, unsure / turbid), 1.0)
         plan = self.replanner.replan(
-            calibrated, going_on, self.field(at.before.light), at.left,
+            calibrated, going_on, self.field(at.state.light), at.left,
             range(longest + 1), evaluations=self.evaluations,
             expected_dose=scaled(self._planned_dose, (solid - consumed) / solid, consumed),
             error=min(total(found.std) / total(found.delivered), 1.0),
@@ -422,23 +412,23 @@ class LiveLoop:
         column, z = np.divmod(np.arange(0, count, max(count // FIRST, 1)), slices)
         some = places(seen.device, columns[column] * slices + z, seen.shape)
         gain, inhibitor = self._first_look(*(picked(field, some) for field in (at.even, seen, deviation)))
-        start = np.array(self.prior.mean if at.before.values is None else at.before.values)
+        start = np.array(self.prior.mean if at.state.values is None else at.state.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
         common = hypot(COMMON, unsure)
         return self.estimator.estimate(at.acted, seen, deviation, self.prior, start=start, correlated=True,
                                        common=common)  # fmt: skip
 
-    def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
+    def _decided(self, at: _Turn, found: Estimate, plan: Replanned[DeviceArray], delivered: DeviceArray) -> Decision:
         """The decision that follows from a plan of the remaining turns."""
-        turns, light = plan.expected.turns, at.before.light
+        turns, light = plan.expected.turns, at.state.light
         swapped = not alike(plan.light, self.field(light))
         if swapped:
             light = plan.light.numpy()
             light.setflags(write=False)
             self._kept_fields[id(light)] = light, plan.light
         return Decision(
-            at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
-            1.0 - float(found.values[6]) / self.resin.induction, iou=float(plan.expected.least),
+            at.state.turn, "stop" if not turns else "swap" if swapped else "keep", at.state.version + swapped, light,
+            turns, 1.0 - float(found.values[6]) / self.resin.induction, iou=float(plan.expected.least),
             reason=f"overlap {plan.expected.iou:.4f} likely, {plan.kept.iou:.4f} without",
             dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip

@@ -15,7 +15,7 @@ from vamgpu.live.turbidity import Turbidity
 from vamgpu.losses.response import Interpolated
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.independent_exposure import IndependentExposure
-from vamgpu.printing.scenarios import clouded, displaced
+from vamgpu.printing.scenarios import clouded_and_displaced
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Positive, Share
 
@@ -167,17 +167,12 @@ class VirtualPrinter:
         self.plan: Projection = operator
         positive("lamp", truth.lamp)
         positive("inhibitor", truth.inhibitor)
-        self._exposure = IndependentExposure(self._placed(_finer(operator)))
+        self._exposure = IndependentExposure(clouded_and_displaced(_finer(operator), truth.absorption, truth.across))
         self.camera: MonitoringCamera = replace(camera, projection=_finer(camera.projection))
         self.grid: Grid = self._exposure.grid
         self.turns: int = 0
         self.state: np.ndarray = np.zeros((3, *self.grid.shape))
         self.state[0] = truth.inhibitor * resin.induction
-
-    def _placed(self, operator: Projection) -> Projection:
-        clouds, across = self.truth.absorption, self.truth.across
-        placed = clouded(operator, clouds) if clouds else operator
-        return displaced(placed, across) if across else placed
 
     def dose(self, light: np.ndarray) -> np.ndarray:
         """Dose of a turn at full lamp power.

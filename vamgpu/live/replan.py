@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import hypot, inf, isfinite, prod
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -74,11 +74,14 @@ class Forecast:
     least: float  # least overlap at the thresholds that the resin may have, dimensionless, 0..1
 
 
+Light = TypeVar("Light")
+
+
 @dataclass(frozen=True, eq=False)
-class Replanned:
+class Replanned(Generic[Light]):
     """Light of each of the turns that remain."""
 
-    light: DeviceArray  # of one turn, [angle, r, z] on the device, at most the projector's; dark for a stop
+    light: Light  # of one turn, [angle, r, z] of each color on the device, at most the projector's; dark for a stop
     kept: Forecast  # forecast of the print with the running plan
     expected: Forecast  # forecast with this light; its ``turns`` is the moment to stop
     evaluations: float  # projector evaluations spent; a replay with the same number finds the same light
@@ -149,7 +152,7 @@ class Replanner:
         self, operator: Operator, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0, expected_dose: Any = None, error: float = 0.0,
         thresholds: Sequence[float] = (), stopped: Any = None,
-    ) -> Replanned:  # fmt: skip
+    ) -> Replanned[DeviceArray]:  # fmt: skip
         """The best light for the rest of a print with the given number of evaluations.
 
         Args:
@@ -218,7 +221,7 @@ class Replanner:
 
     def _chosen(
         self, task: _Task, planned: int, kept: _Printed, light: DeviceArray | None, found: _Printed | None
-    ) -> Replanned:
+    ) -> Replanned[DeviceArray]:
         """Darkness, the plan's light or the light found, selected by the expected surface of the print."""
         counts, spent = task.counts, task.state.evaluations
         possible = planned in counts and extent(task.light)[1] <= self.most * (1.0 + ROUNDING)
@@ -233,7 +236,7 @@ class Replanner:
     def _printed(self, task: _Task, turns: int, share: float, dose: DeviceArray) -> _Printed:
         """The print after a share of a dose."""
         whole = task.state.volume()
-        task.state.combine(1.0, task.given, share, dose, whole)
+        combine(1.0, task.given, share, dose, whole)
         return _Printed(self._forecast(task, turns, whole), task.border.off(whole))
 
     def prepare(self, operator: Operator) -> None:

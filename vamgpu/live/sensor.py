@@ -26,26 +26,13 @@ SIXTEEN = 16
 
 @dataclass(frozen=True)
 class SensorView:
-    """Where the images of a camera show the pixels of the beam, or of the mirrors, and what its levels mean.
+    """Where the images of a camera show the pixels of the beam, or of the mirrors, and what its levels mean."""
 
-    Pixel (row, column) of the beam is at matrix · (row, column) + origin in the camera's images.
-
-    Args:
-        shape: Rows and columns of an image.
-        matrix: Camera pixels per beam pixel, ((row per row, row per column), (column per row, column per column)).
-        origin: Row and column of the camera that show pixel (0, 0) of the beam.
-        dark: Gray level without light.
-        bits: Bits per pixel.
-
-    Raises:
-        BadInput: The matrix has no inverse, or a number is out of its range.
-    """
-
-    shape: tuple[int, int]
-    matrix: tuple[Pair, Pair]
-    origin: Pair
-    dark: NonNegative = 0.0
-    bits: Bits = 8
+    shape: tuple[int, int]  # rows and columns of an image
+    matrix: tuple[Pair, Pair]  # camera pixels per beam pixel, ((row per row, row per column), (column per row, …))
+    origin: Pair  # row and column of the camera that show pixel (0, 0) of the beam
+    dark: NonNegative = 0.0  # gray level without light
+    bits: Bits = 8  # per pixel
 
     def __post_init__(self) -> None:
         shape = tuple(int(length) for length in self.shape)
@@ -64,11 +51,7 @@ class SensorView:
         cls, shape: tuple[int, int], pixels: tuple[int, int], scale: float, *, flip: bool = False, rotation: int = 0,
         dark: float = 0.0, bits: int = 8,
     ) -> SensorView:  # fmt: skip
-        """The view of a camera that is centered on the mirrors, which show upright images.
-
-        pixels: rows and columns of the mirrors. scale: camera pixels per mirror. flip: images are mirrored left-right.
-        rotation: degrees by which they are then turned clockwise, a multiple of 90.
-        """
+        """The view of a camera centered on the mirrors; flip: mirrored left-right, then turned clockwise [deg]."""
         turns = round(rotation / 90) % 4
         cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns]  # a point at the top goes to the right
         turn = np.array([[cosine, sine], [-sine, cosine]]) @ np.diag([1.0, -1.0 if flip else 1.0])
@@ -78,10 +61,7 @@ class SensorView:
         return cls(shape, _pairs(matrix), (float(origin[0]), float(origin[1])), dark, bits)
 
     def of_beam(self, settings: Placement, pixels: tuple[int, int], corner: tuple[int, int]) -> SensorView:
-        """The view of a job's beam (row along z, column along r), from that of the mirrors which show its frames.
-
-        pixels: columns and rows of the beam. corner: row and column of the mirrors that show the first pixel.
-        """
+        """The view of a job's beam of ``pixels`` (columns, rows), from that of the mirrors; corner: row and column."""
         columns, rows = pixels
         (down, top), (across, left) = (
             _placed(rows, settings.shift[1], not settings.flip_z), _placed(columns, settings.shift[0], settings.flip_r)
@@ -128,18 +108,7 @@ def _pairs(matrix: np.ndarray) -> tuple[Pair, Pair]:
 
 
 class BeamImages:
-    """Images of a camera on the pixels of the beam, by one table.
-
-    Each pixel of the beam gets the mean over the camera's pixels that it covers, blurred as a `MonitoringCamera`
-    expects. The dark level is subtracted, and levels are scaled to have the noise of one camera pixel.
-
-    Args:
-        view: Where the camera's images show the beam.
-        pixels: Columns and rows of the beam.
-
-    Raises:
-        BadInput: The camera shows no pixel of the beam.
-    """
+    """Images of a camera on the pixels (columns, rows) of the beam, with the noise of one pixel. Raises `BadInput`."""
 
     view: SensorView
     pixels: tuple[int, int]
@@ -151,11 +120,7 @@ class BeamImages:
                            "expected a crop, pixel and place for which they do: run vam calibrate live")  # fmt: skip
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Levels on the pixels of the beam, [row, column] along z and r, from those of the camera, [row, column].
-
-        They are NaN beyond the camera's view, and the brightest level where a pixel is saturated. Raises
-        `ShapeMismatch`.
-        """
+        """Levels on the pixels of the beam, [row, column], NaN beyond the camera's view. Raises `ShapeMismatch`."""
         given = np.asarray(image)
         if given.shape != self.view.shape:
             raise ShapeMismatch(f"the camera's images have {' × '.join(map(str, given.shape))} pixels; expected "

@@ -91,11 +91,7 @@ def certified(
     operator: Operator, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
     rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0,
 ) -> Bound:  # fmt: skip
-    """The bound from the multipliers of a run, made feasible; takes `SWEEPS` + 1 evaluations.
-
-    lower, upper: of `vamgpu.kernels.pdhg.dual_step`; 0 for voxels that do not count. rows: dose of patterns of 1.
-    columns: projection of the voxels that count. Both have any scale.
-    """
+    """The bound by a run's multipliers, 0 where voxels do not count, made feasible; takes `SWEEPS` + 1 evaluations."""
     device = operator.device
     spent = evaluations + SWEEPS + 1.0
     paid, cost, raised = (device.empty(target.shape) for _ in range(3))
@@ -138,10 +134,7 @@ def certified(
 def limited(
     operator: Operator, target: DeviceArray, lower: DeviceArray, upper: DeviceArray, most: float, evaluations: float
 ) -> Bound:  # fmt: skip
-    """The bound for light of at most ``most`` times the greatest dose, of any sign of its dose.
-
-    Whatever A p falls short of 0 on a pixel costs ``most`` times as much.
-    """
+    """The bound for light of at most ``most`` times the greatest dose: what A p lacks to 0 costs that many times it."""
     device = operator.device
     paid, cost = device.empty(target.shape), device.empty(target.shape)
     own = {"lower": lower, "upper": upper, "target": target, "inside": 1.0, "outside": 0.0}

@@ -12,7 +12,7 @@ from vamgpu.methods.method import Steps
 from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.ramp import identity
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.compose import capped
+from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot
 
 if TYPE_CHECKING:
@@ -20,12 +20,7 @@ if TYPE_CHECKING:
 
 
 class DoseObjective:
-    """The loss of the dose Aᵀg of light g, plus penalty·Σ g^power.
-
-    A step evaluates ``ahead``, which momentum extrapolates beyond the current light. Doses are linear; the dose of the
-    light itself, by which the best light is selected, therefore follows from that of ``ahead`` without a projection.
-    Half an evaluation for a value, half for a gradient.
-    """
+    """The loss of the dose Aᵀg of light g, plus penalty·Σ g^power; a value or a gradient takes half an evaluation."""
 
     def __init__(
         self, state: OptimizerState, loss: Loss, rule: StepRule, *, penalty: tuple[float, float] = (0.0, 1.0),
@@ -50,7 +45,7 @@ class DoseObjective:
         state, rule, self._projected = self.state, self.rule, False
         state.expose(state.buffer(self._at), self.dose, self._beside)
         if self.rest is not None:
-            state.combine(1.0, self.dose, 1.0, self.rest, self.dose)
+            combine(1.0, self.dose, 1.0, self.rest, self.dose)
         held = self._dose_of_light(carried) if self._windows or rule.back <= 1.0 else self.dose
         window = state.window(held)[0] if self._windows and not rule.fixed else 0.0
         loss = state.loss(self.dose, self.loss) + self._bright()
@@ -85,7 +80,7 @@ class DoseObjective:
             memory["dose"], carried = state.volume(), 0.0
         dose = state.buffer("dose")
         if carried:
-            state.combine(1.0 / (1.0 + carried), self.dose, carried / (1.0 + carried), dose, dose)
+            combine(1.0 / (1.0 + carried), self.dose, carried / (1.0 + carried), dose, dose)
         else:  # new memory may contain NaN
             state.scale(1.0, self.dose, dose)
         return dose

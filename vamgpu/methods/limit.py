@@ -19,11 +19,7 @@ MARGIN = 0.99
 
 @dataclass(frozen=True)
 class ExposureLimit:
-    """Time limit of a print, with its lamp and resin. Raises `BadInput` for a value that is not above 0.
-
-    An exposure lasts until the dose midway between the least in the part and the greatest outside is the critical dose.
-    The brightest pixel is full-on. The time limit therefore limits the ratio of the brightest pixel to that dose.
-    """
+    """Time limit of a print: of the brightest pixel over the dose midway between part and void. Raises `BadInput`."""
 
     seconds: float  # longest exposure [s]
     irradiance: float  # irradiance of a full-on pixel in air [mW/mm²]

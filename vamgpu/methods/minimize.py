@@ -95,12 +95,7 @@ class StepRule:
 
 
 def minimize(objective: Objective, channels: Sequence[Channel], rule: StepRule) -> Steps:
-    """Minimize an objective over light ≥ 0, starting from ``light`` in the memory of each channel.
-
-    It runs without end, or until the loss is 0 or no step lowers it; the caller counts steps, cancels and detects
-    divergence. Numbers are stored in the memory of the first channel. A later call with the same memories continues bit
-    for bit where this one stopped. The best light is selected by the criterion of the objective.
-    """
+    """Minimize over light ≥ 0 from ``light`` in the channels' memories, by which a later call goes on bit for bit."""
     if rule.history:
         yield from _searched(objective, channels[0].state, rule)
         return
@@ -213,7 +208,7 @@ def _line(objective: Objective, state: OptimizerState, pairs: Pairs, direction: 
     for _ in range(TRIES):
         if not state.affords(1.0):
             break
-        state.combine(1.0, pairs.step, share, direction, light, floor=0.0)
+        combine(1.0, pairs.step, share, direction, light, floor=0.0)
         if state.most < inf:
             capped(light, state.most)
         if state.lit is not None:

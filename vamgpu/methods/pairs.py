@@ -7,6 +7,7 @@ import warnings
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import MemoryNotice, OutOfMemory
 from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import dot, dots
 
 
@@ -35,12 +36,12 @@ class Pairs:
         shares = []
         for step, change, inverse in reversed(self.kept):
             shares.append(inverse * dot(step, out))
-            state.combine(1.0, out, -shares[-1], change, out)
+            combine(1.0, out, -shares[-1], change, out)
         if self.kept:
             _, change, inverse = self.kept[-1]
             state.scale(1.0 / (inverse * dot(change, change)), out, out)
         for (step, change, inverse), share in zip(self.kept, reversed(shares), strict=True):
-            state.combine(1.0, out, share - inverse * dot(change, out), step, out)
+            combine(1.0, out, share - inverse * dot(change, out), step, out)
         state.scale(-1.0, out, out)
 
     def open(self) -> None:
@@ -67,8 +68,8 @@ class Pairs:
 
     def close(self, light: DeviceArray, gradient: DeviceArray) -> None:
         """Complete the pair with the light and gradient after the step; keep it if its curvature is positive."""
-        self.state.combine(1.0, light, -1.0, self.step, self.step)
-        self.state.combine(1.0, gradient, -1.0, self.change, self.change)
+        combine(1.0, light, -1.0, self.step, self.step)
+        combine(1.0, gradient, -1.0, self.change, self.change)
         step, change = self.step, self.change
         product, of_step, of_change = dots((step, change), (step, step), (change, change))
         if product > 1e-10 * (of_step * of_change) ** 0.5:

@@ -38,12 +38,7 @@ that get a hundred times as much."""
 
 
 def fractions_of(operator: Operator, target: Any) -> DeviceArray:
-    """The target's fractions [x, y, z] on the operator's device, after checking that light reaches all of it.
-
-    target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
-    beyond 0..1, `EmptyMesh` if no voxel prints or is judged, `NoLight` if light does not reach all of it,
-    `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
-    """
+    """The target's fractions [x, y, z] on the operator's device, checked, and reached by light. Raises `BadInput`."""
     _check_projector(operator)
     radius = getattr(target, "radius", None)
     if not isinstance(operator.grid, WebGrid):

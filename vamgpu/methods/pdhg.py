@@ -2,13 +2,10 @@
 
     maximize a − b   over g ≥ 0, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside
 
-With the multipliers y ≥ 0 of the limits Kx ≤ c of x = (g, a, b), a step of PDHG is (A. Chambolle, T. Pock, J. Math.
-Imaging Vis. 40 (2011) 120)
-
+With multipliers y ≥ 0 of the limits Kx ≤ c of x = (g, a, b), a step is (`PDHG.papers`)
     x⁺ = proj(x − τ (Kᵀy − (0, 1, −1)))        y⁺ = max(0, y + σ (K(2x⁺ − x) − c))
-
-with steps τ, σ for each pixel and voxel, as long as is provably safe. Rounds of k steps are reflected and anchored at
-their start (H. Lu, J. Yang, arXiv:2407.16144): z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
+for each pixel and voxel, and rounds of k steps are reflected and anchored (H. Lu, J. Yang, arXiv:2407.16144):
+z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
 """
 
 from __future__ import annotations

@@ -104,11 +104,7 @@ def entries_of(arrays: Mapping[str, np.ndarray]) -> dict[str, Entry]:
 def projection_from(
     description: Any, device: Device, arrays: Callable[[str], np.ndarray] | None = None, *, solved: bool = False
 ) -> Any:
-    """The operator that `describe` described. Raises `StorageError` for an invalid description.
-
-    arrays: those stored beside it, by name: `Folder.array` of its job folder, which verifies them by their hashes.
-    solved: the operator that found the light, perhaps on rings; else the one that judges it.
-    """
+    """The operator of `describe`: ``solved``, that which found the light, else its judge. Raises `StorageError`."""
     with malformed("the manifest has a malformed geometry", "write the job again"):
         table = dict(description)
         _weigh(table)

@@ -16,12 +16,7 @@ WHOLE = 0.95
 
 
 def directions(motion: Turntable) -> np.ndarray:
-    """The range [rad] of directions, of 0 to π in all, that each angle represents; shape (angles,).
-
-    Angles divide the range between neighbors (the trapezoidal rule on a circle). At the end of a range, an angle
-    represents as much beyond it as towards its neighbor. Parallel light from opposite sides meets the same voxels; such
-    a range is therefore divided between both sides. Even angles over a full or a half turn have π / angles each.
-    """
+    """The range [rad] of directions, 0 to π in all, of each angle (angles,), shared with light from the other side."""
     if motion.theta is None:
         return np.full(motion.angles, 0.5 * FULL_TURN / motion.angles)
     low, high = _cells(motion.poses)

@@ -25,11 +25,7 @@ class Taps:
 
 
 def ramp(operator: Operator) -> Taps:
-    """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
-
-    Angles are weighted by the directions that they represent, and by the time that they are lit.
-    Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
-    """
+    """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs."""
     columns = operator.beam.pixels[0]
     return Taps(operator.device.table(_ramp_taps(columns) * _scale(operator)), 2, _balance(operator))
 

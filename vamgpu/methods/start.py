@@ -32,10 +32,7 @@ def own_light(operator: Any, light: Any, name: str) -> DeviceArray:
 
 
 def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None, scale: float = 1.0) -> None:
-    """Put light, times ``scale``, into the memory of a run as ``light``; half an evaluation.
-
-    If start is None, use filtered back projection; it takes one evaluation.
-    """
+    """Put light, times ``scale``, into the memory of a run as ``light``; None: that of filtered back projection."""
     if resume is not None:
         raise BadInput("got both resume and start; a resumed run continues from its own light: leave one out")
     if not getattr(method, "takes_start", False):

@@ -141,7 +141,7 @@ class OptimizerState:
         """out = Aᵀ light, the dose; half an evaluation. In a partial problem, the dose of other light is added."""
         self._count(lambda: self.operator.T(light, out=out) if beside is None else beside.expose(light, out))
         if self.partial is not None:
-            self.combine(1.0, out, 1.0, self.partial.rest, out)
+            combine(1.0, out, 1.0, self.partial.rest, out)
 
     def _count(self, half: Callable[[], Any]) -> None:
         """Count half an evaluation; for several scenarios, the number that their operator really made."""
@@ -160,12 +160,7 @@ class OptimizerState:
         return self.best.offer(self.buffer("light"), loss, window, self.iteration + made)
 
     def window(self, dose: DeviceArray) -> tuple[float, float]:
-        """Strict process window of a dose, and the greatest dose.
-
-        If the part leaves no void, nothing can leak, and the window is the least dose over the greatest. A dose that is
-        dark everywhere, or not finite, prints nothing: its window is −1, the lowest value. The window of a partial
-        problem is no wider than its levels.
-        """
+        """Strict window of a dose, −1 if dark or not finite, and the greatest dose; without a void nothing leaks."""
         least, leak, greatest = self.extremes(dose)
         if not (isfinite(least) and leak < inf and 0.0 < greatest < inf):
             return -1.0, max(greatest, 1e-30) if isfinite(greatest) else 1.0
@@ -194,15 +189,9 @@ class OptimizerState:
         loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
-    def combine(
-        self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
-    ) -> None:
-        """out = max(floor, a·x + b·y); out may be x or y."""
-        combine(a, x, b, y, out, floor)
-
     def scale(self, factor: float, x: DeviceArray, out: DeviceArray) -> None:
         """out = factor·x."""
-        self.combine(factor, x, 0.0, x, out)
+        combine(factor, x, 0.0, x, out)
 
     def fill_background(self, background: float, out: DeviceArray) -> None:
         """out = the target over a background that fills the cylinder."""

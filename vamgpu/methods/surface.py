@@ -1,8 +1,6 @@
 """The default: thresholds that ramp across the surface of the part, on voxels finer than a pixel, optimized by L-BFGS.
 
-Two thresholds need a jump of the dose at the surface, which pixels of a width s cannot make: patterns that attempt it
-reduce the window on finer voxels. The thresholds therefore ramp from one pixel outside the surface to one inside.
-Voxels are three quarters of a pixel wide; the optimization then includes the dose between pixels.
+Pixels cannot make a dose that jumps: thresholds ramp from one pixel outside the surface to one inside.
 """
 
 from __future__ import annotations
@@ -154,11 +152,7 @@ class SurfaceRamp(ByPairs):
 
 
 def as_fine_as_light(operator: Any, keep: bool = False) -> Projection | RingProjection | None:
-    """The projector of the optimization: voxels of three quarters of a pixel, also some above and below the part.
-
-    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. With ``keep``, the
-    next call returns the same object once, because its tables take seconds to make.
-    """
+    """The projector on `fine_grid`; None for operators that keep their voxels. ``keep``: for the next call, once."""
     if (grid := fine_grid(operator)) is None:
         return None
     found = _KEPT.pop(operator, None)

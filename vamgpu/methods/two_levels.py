@@ -2,15 +2,10 @@
 
     maximize a − b   over g, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside,   0 ≤ g ≤ white
 
-With copies z of the dose and w of the light, and scaled duals u and v (J. Eckstein, D. P. Bertsekas, Math. Program. 55
-(1992) 293), a step is
-
+With copies z of the dose and w of the light, and scaled duals u and v (see `vamgpu.kernels.admm`), a step is
     z = clip(Aᵀg + u),  w = clip(g + v + push·(g + v − white/2)),
     g ← argmin |Aᵀg − z + u|² + |g − w + v|²,  u ← u + Aᵀg − z,  v ← v + g − w,
-
-each with over-relaxation. The push is a concave penalty; R. Takapoui, N. Moehle, S. Boyd, A. Bemporad, Int. J. Control
-93 (2020) 2, round to the nearer level in every step instead. The argmin inverts the blur of exposing and projecting
-(`GramInverse`).
+each with over-relaxation; the push is a concave penalty, and `GramInverse` finds the argmin.
 """
 
 from __future__ import annotations
@@ -104,7 +99,7 @@ class ADMM:
             scaled_dual=self.light_dual, pull=self.way,
         )  # fmt: skip
         self.inverse(self.way, self.way)
-        state.combine(1.0, self.light, self.inverse.pace, self.way, self.light)
+        combine(1.0, self.light, self.inverse.pace, self.way, self.light)
         state.expose(self.light, self.dose)
 
     def _point(self) -> dict[str, Any]:
@@ -114,10 +109,7 @@ class ADMM:
 
 
 def found_levels(point: dict[str, Any], lack: float) -> tuple[float, float]:
-    """a and b at which the part lacks, and voids leak, ``lack`` in all, by Newton's steps from those of the point.
-
-    point: arguments of `find_levels`, whose doses are 2·held + scaled_dual.
-    """
+    """a and b at which the part lacks, and voids leak, ``lack`` in all, by Newton's steps from those of the point."""
     held, target, least, leak = point["held"], point["target"], point["least"], point["leak"]
 
     def sought(low: float, high: float) -> tuple[float, float]:

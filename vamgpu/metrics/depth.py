@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from math import ceil
 
 import numpy as np
@@ -41,10 +42,11 @@ def signed_depth(fraction: npt.ArrayLike, reach: float, device: Device | None = 
     if values.ndim != 3 or not values.size:
         raise BadInput(f"the fractions have shape {values.shape}; expected [x, y, z] with at least one voxel")
     depth, halo, last = np.empty(values.shape, np.float32), _span(reach) + 1, values.shape[2]
-    each = max(TOGETHER // (values.shape[0] * values.shape[1]), FEWEST)
-    for first in range(0, last, each):
+    places = getattr(place, "members", (place,))  # slabs need no more of each other than their halos
+    each = min(max(TOGETHER // (values.shape[0] * values.shape[1]), FEWEST), ceil(last / len(places)))
+    for first, own in zip(range(0, last, each), cycle(places)):  # noqa: B905 - members take turns
         low, end = max(first - halo, 0), min(first + each, last)
-        part = place.upload(values[:, :, low : end + halo])
+        part = own.upload(values[:, :, low : end + halo])
         depth[:, :, first:end] = depth_field(part, reach, first - low, end - first).numpy()
     return depth
 

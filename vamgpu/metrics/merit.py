@@ -1,6 +1,5 @@
-"""Figure of merit of a print of the calibration disk, from its connected parts.
-
-Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 2 and eq. 2.
+"""Figure of merit of a print of the calibration disk, from its connected parts: A. Orth et al., Automatic exposure
+volumetric additive manufacturing, Fig. 2 and eq. 2.
 """
 
 from __future__ import annotations
@@ -96,11 +95,7 @@ def _half(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], angle: float, 
 
 
 def acceptable(stops: Sequence[float], figures: npt.ArrayLike, above: float = 2.0) -> tuple[float, float] | None:
-    """Longest run of neighboring stops whose mean figure of merit exceeds ``above``: its ends, or None.
-
-    stops: increasing doses.  figures: [stop, replicate].  Source: the acceptable exposure range, FOM > 2.
-    Raises `BadInput`.
-    """
+    """Ends of the longest run of rising stops whose mean figure [stop, replicate] is above FOM 2. Raises `BadInput`."""
     values = np.asarray(figures, np.float64)
     if values.ndim != 2 or len(values) != len(stops) or np.any(np.diff(stops) <= 0):
         raise BadInput(f"{len(stops)} stops and figures {values.shape}; expected rising stops and [stop, replicate]")

@@ -15,10 +15,7 @@ EVERYWHERE = 1e18
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A dose judged by a target: a voxel is in the part if the target's fraction is at least ``level``, else outside.
-
-    Raises `ShapeMismatch`, `DeviceError`, `BadInput`.
-    """
+    """A dose, and the voxels in the part: their target is ``level`` or more. Raises `ShapeMismatch`, `BadInput`."""
 
     dose: DeviceArray  # [x, y, z]
     target: DeviceArray  # [x, y, z] on the same device

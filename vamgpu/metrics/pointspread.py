@@ -1,8 +1,5 @@
-"""Point spread of a limited range of angles: dose, width, and the frequencies that reach the film.
-
-Light meets a film on a roller from a medium whose index is m times the resin's; refraction leaves only directions
-within arcsin m of the film's normal (eq. S11). Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive
-manufacturing, section S10.
+"""Point spread of light within arcsin m of a film's normal, m being the index around it over the resin's: J. Toombs et
+al., Roll-to-roll tomographic volumetric additive manufacturing, section S10.
 """
 
 from __future__ import annotations

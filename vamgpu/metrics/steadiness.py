@@ -7,6 +7,7 @@ from math import ceil, log, sqrt
 
 import numpy as np
 
+from vamgpu.backend.cores import together
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.printed_field import PrintedField
 from vamgpu.metrics.runs import runs_of
@@ -41,7 +42,8 @@ class Print:
         printed, empty = np.sort(thick[thick >= at]), np.sort(wide[wide < at])[::-1]
         lowest = max(lowest, at / FARTHEST, *empty[spare : spare + 1].tolist())
         highest = min(highest, at * FARTHEST, *printed[spare : spare + 1].tolist())
-        return self._last(min(lowest, at)), self._last(max(highest, at))
+        low, high = together(lambda: self._last(min(lowest, at)), lambda: self._last(max(highest, at)))
+        return low, high
 
     def _last(self, end: float) -> float:
         """The last threshold on the way from the print's own to an end at which its bodies are no worse."""

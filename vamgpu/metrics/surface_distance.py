@@ -1,22 +1,18 @@
-"""Distances of the surface of a print from its target, > 0 where the print is too thick.
-
-Sources: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table 1; A. Orth et al.,
-Automatic exposure volumetric additive manufacturing, Fig. 4.
+"""Distances of the surface of a print from its target, > 0 where the print is too thick: J. Toombs et al., Roll-to-roll
+tomographic …, Table 1; A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput, EmptyMesh
+from vamgpu.errors import EmptyMesh
 from vamgpu.geometry import centers, counts, positive
 from vamgpu.metrics.alignment import Alignment, align
-from vamgpu.metrics.gaussian import Gaussian, fit_gaussian
 from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 from vamgpu.metrics.triangle_search import double_areas, drawn_on
 from vamgpu.schema.quantities import numeric
@@ -44,10 +40,6 @@ class SurfaceDistance:
         """Root mean square of the distance [mm]."""
         return float(np.sqrt(np.mean(self.distance**2)))
 
-    def gaussian(self, bins: int = 100) -> Gaussian:
-        """μ, σ [mm] and R² of a Gaussian fitted to the histogram of the distances. Raises `BadInput`."""
-        return fit_gaussian(self.distance, bins)
-
 
 def surface_distance(
     printed: Solid | npt.ArrayLike, target: Solid | Nearest, *, aligned: bool = True, start: Alignment | None = None,
@@ -62,20 +54,6 @@ def surface_distance(
     motion = align(cloud, surface, start=start, keep=keep) if aligned else start
     cloud = cloud if motion is None else motion(cloud)
     return SurfaceDistance(cloud, surface(cloud).distance, motion)
-
-
-def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: int = POINTS) -> npt.NDArray[np.float64]:
-    """RMS distance [mm] between each pair of prints, (n, n), symmetric: the repeatability of a machine."""
-    # Both directions count equally. The inter-print RMS is the mean over pairs.
-    if len(prints) < 2:
-        raise BadInput(f"got {len(prints)} prints; expected at least two to compare")
-    surfaces = [Nearest(solid) for solid in prints]
-    square = np.zeros((len(prints), len(prints)))
-    for i, solid in enumerate(prints):
-        for j, surface in enumerate(surfaces):
-            if i != j:
-                square[i, j] = surface_distance(solid, surface, aligned=aligned, samples=samples).rms ** 2
-    return np.sqrt(0.5 * (square + square.T))
 
 
 def drawn(solid: Solid, samples: int = POINTS) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from math import inf, isnan, nan
 
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cores import together
+from vamgpu.backend.cores import beside, together
 from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
@@ -135,11 +136,9 @@ def judge_surface(
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
     inside = mesh_runs(part, around.origin, around.pitch, around.runs.shape)
-    surface = around.triangles()
-    printed = TriangleSearch(surface, 0.5 * around.pitch) if len(surface) else None
-    with warnings.catch_warnings():
-        if solid is None:  # a surface made from voxels, which the user cannot repair
-            warnings.simplefilter("ignore", MeshWarning)
+    printed = beside(lambda: _searched(around))
+    # of a surface made from voxels, which the user cannot repair; a filter holds for all threads
+    with warnings.catch_warnings(action="ignore", category=MeshWarning) if solid is None else nullcontext():
         near, own, there = together(
             lambda: nearest(part, 0.5 * grid.pitch),
             lambda: _own_bodies(part, topology(inside), around),
@@ -147,21 +146,25 @@ def judge_surface(
         )
     changes = body_changes(own, there, around.pitch**3)
     points, face = drawn_on(near.search.corners, number, near.search.areas)
+    measured = beside(lambda: _distances(near, points, printed(), inside, around))
     widest = max(_WIDEST * grid.pitch, widest)
     thick, wide = (walls(near.search, points, near.normals[face], widest, gaps) for gaps in (False, True))
     thresholds = Print(around, own, changes, (thick, wide)).thresholds(*between)
-    others = _wall_changes(thick, around), changes, thin, thresholds
-    if printed is None:
-        return SurfaceJudgement(np.zeros(0), nan, nan, *others)
+    return SurfaceJudgement(*measured(), _wall_changes(thick, around), changes, thin, thresholds)
 
-    distances, most = _distances(near, points, printed, inside, around)
-    return SurfaceJudgement(distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), *others)
+
+def _searched(around: PrintedField) -> TriangleSearch | None:
+    """The search over the surface of the print; None if nothing prints."""
+    surface = around.triangles()
+    return TriangleSearch(surface, 0.5 * around.pitch) if len(surface) else None
 
 
 def _distances(
-    near: Nearest, points: Array, printed: TriangleSearch, inside: Runs, around: PrintedField
-) -> tuple[Array, Array]:
-    """Signed distances at points of the print and of the part; and these with those that may be greatest."""
+    near: Nearest, points: Array, printed: TriangleSearch | None, inside: Runs, around: PrintedField
+) -> tuple[Array, float, float]:
+    """Signed distances at points of the print and of the part, and the greatest excess and lack of all."""
+    if printed is None:
+        return np.zeros(0), nan, nan
 
     def of_part(at: Array) -> Array:
         return np.where(around.printed(at), 1.0, -1.0) * printed(at, most=_PIECES)[0]
@@ -177,7 +180,8 @@ def _distances(
     )
     distances = np.concatenate([measured(cloud) for measured, _, cloud, _, _ in ways])
     farthest = [measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways]
-    return distances, np.concatenate([distances, *farthest])
+    most = np.concatenate([distances, *farthest])
+    return distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0)
 
 
 def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:

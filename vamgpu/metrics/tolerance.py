@@ -1,7 +1,6 @@
-"""The process window as a function of the tolerance of a print.
+"""The process window as a function of the tolerance δ of a print.
 
-W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose. W(0) judges
-every point of the resin; at a tolerance, W ignores points closer to the surface.
+W(δ) = (least dose δ or more deep in the part − greatest δ or more outside) / greatest dose.
 """
 
 from __future__ import annotations

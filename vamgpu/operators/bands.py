@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.kernels.unfold import shift_window
 from vamgpu.web import Propagation
 
 CHUNK = 4
@@ -62,28 +61,7 @@ class Bands:
         row = phase * light.shape[1] + light.rho
         return cls.gathered(step * light.shape[1], row, light.r, -pose, light.weight, phases=step)
 
-    def on(self, device: Device) -> BoundBands:
-        """The tables on a device."""
-        rows, bands = device.table(self.rows, "int32"), device.table(self.bands, "int32")
-        return BoundBands(rows, bands, device.table(self.weights), self.step, self.phases)
-
-
-@dataclass(frozen=True)
-class BoundBands:
-    """Bands on a device."""
-
-    rows: DeviceArray
-    bands: DeviceArray
-    weights: DeviceArray
-    step: int
-    phases: int
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the tables."""
-        return self.rows.nbytes + self.bands.nbytes + self.weights.nbytes
-
-    def gather(self, source: DeviceArray, target: DeviceArray) -> None:
-        """target = the bands' sums over ``source``."""
-        tables = {"rows": self.rows, "bands": self.bands, "weights": self.weights}
-        target.device.launch(shift_window, source=source, **tables, step=self.step, phases=self.phases, target=target)
+    def on(self, device: Device) -> dict[str, Any]:
+        """The arguments of `shift_window`, with the tables on a device."""
+        tables = {"rows": device.table(self.rows, "int32"), "bands": device.table(self.bands, "int32")}
+        return tables | {"weights": device.table(self.weights), "step": self.step, "phases": self.phases}

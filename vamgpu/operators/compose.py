@@ -55,11 +55,7 @@ def same_device(first: LinearOperator, second: LinearOperator) -> None:
 
 @final
 class Composed(Derived):
-    """outer ∘ inner, with the geometry of whichever has one.
-
-    inner: the operator applied first.  outer: the operator applied to its result.  Raises `ShapeMismatch`,
-    `DeviceError`.
-    """
+    """outer ∘ inner, with the geometry of whichever has one. Raises `ShapeMismatch`, `DeviceError`."""
 
     def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
         if outer.domain != inner.range:
@@ -89,11 +85,7 @@ class Composed(Derived):
 
 @final
 class Sum(Derived):
-    """Σ weight·operator, e.g. over sub-rays of an aperture, with the geometry of the first.
-
-    terms: operators between the same spaces.  weights: one per term, 1 if none are given.
-    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
-    """
+    """Σ weight·operator with the geometry of the first; weights 1 by default. Raises `BadInput`, `ShapeMismatch`."""
 
     def __init__(self, terms: Sequence[LinearOperator], weights: Sequence[float] | None = None) -> None:
         if not terms or (weights is not None and len(weights) != len(terms)):

@@ -15,10 +15,7 @@ from vamgpu.operators.web_motion import WebMotion
 
 
 class Dwell:
-    """Weights images [angle, r, z], of tile after tile, by the ratio of the time of their angle to the mean.
-
-    If the part travels, they are also moved as over all turns of the print, and averaged over them.
-    """
+    """Weights images [angle, r, z], tile after tile, by their angle's time over the mean; moves them with the part."""
 
     # A = D·M·P: P has the rows of light of every angle, M the moves of the part, D the times. `weigh` follows P, and
     # `weighted` precedes Pᵀ.

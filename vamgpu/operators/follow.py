@@ -29,10 +29,7 @@ class Followed:
     repeats: int
 
     def in_steps(self, across: int, along: int) -> list[tuple[tuple[int, int], np.ndarray]]:
-        """What is left, in so many steps of a pixel: each step, and the shares (angles, rows) of the light moved by it.
-
-        Light between steps is interpolated by cubic polynomials.
-        """
+        """What is left in steps of a pixel, by cubic polynomials: each step, and shares (angles, rows) moved by it."""
         low = np.floor(self.left * (across, along))
         at, shares = self.left * (across, along) - low, self.lit / self.repeats
         a, b, c = at + 1.0, at - 1.0, at - 2.0  # from the samples at −1, 1 and 2; Lagrange's weights follow
@@ -58,9 +55,9 @@ def followed(motion: Turntable, beam: Beam) -> Followed | None:
     pixels = np.array(beam.pixels)
     far = np.abs(away).max(axis=(0, 1))
     if (far >= np.where(pixels > 1, pixels, 1e-9))[: 1 if travel.rows else 2].any():
-        raise BadInput(f"the part travels by up to {far[0] * beam.pitch:.4g} mm across the light and "
-                       f"{far[1] * beam.pitch:.4g} mm along z, beyond the beam of {beam.pixels} pixels of "
-                       f"{beam.pitch:g} mm; expected less: check the unit, mm, and the law")  # fmt: skip
+        (x, z), (wide, high) = far * beam.pitch, pixels * beam.pitch
+        raise BadInput(f"the part travels by up to {x:.4g} mm across the light and {z:.4g} mm along z; expected less "
+                       f"than the beam lights, {wide:.4g} and {high:.4g} mm: check the unit and the law")  # fmt: skip
     turned = float(np.hypot(travel.x, travel.y).max() * motion.arcs.max()) / beam.pitch
     if turned > MOVED:
         raise BadInput(f"the part is so far aside that it moves by {turned:.3g} pixels while a frame is lit; expected "

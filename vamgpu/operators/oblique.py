@@ -30,8 +30,7 @@ class Rising(Protocol):
         ...
 
     def rows(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(lift, stretch, gain): the ray through (X, Y, z) belongs to the row at lift + stretch·z [mm], stretch > 0;
-        the weight of the plane is multiplied by gain."""
+        """(lift, stretch, gain): the row at lift + stretch·z [mm] lights (X, Y, z), gain times as much as the plane."""
         ...
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import ceil, sqrt
+from math import ceil, log2, sqrt
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -21,8 +21,10 @@ from vamgpu.operators.polar import PolarGrid, WritesPose, writes_stored
 QUANTILES = 1 << 12
 RAYS = 64
 """Rays of a column, each of an equal part of its light."""
-ITEMS = 1 << 12
-"""Items of a launch, which follow their photons one after another."""
+ITEMS, MOST_ITEMS = 1 << 12, 1 << 17
+"""Least and greatest number of items of a launch, which follow their photons one after another."""
+OWN = 8
+"""Photons of an item, where there are enough."""
 SEGMENTS = 1 << 14
 """Greatest number of segments of a photon."""
 TALLY = 1 << 28
@@ -101,22 +103,20 @@ class PhotonCount:
         return np.bincount(self.lags, np.where(np.arange(self.lags.size), 2.0, 1.0))
 
     def light(self, device: Device, seed: int, basis: np.ndarray, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Scattered light in cells for an irradiance of 1 in one slice, by half of the photons.
-
-        basis: (bins, terms); every: step of the columns.  Returns the sum over all slices (columns, cells) of the
-        fluence rate, and its sums over bins with each term of the basis (columns, cells, terms).
-        """
+        """Fluence rates in cells of light of 1 in a slice: (columns, cells), and by terms (columns, cells, terms)."""
         rays, rings, bins = self._rays[::every], self.rings, self.slices_of_bins.size
         cells, columns = int(rings[-1].sum()), len(rays)
         launches = ceil(columns / max(TALLY // (8 * cells * bins), 1))
         rays = np.pad(rays, ((0, -columns % launches), (0, 0), (0, 0)))  # columns without photons fill the last launch
         given, at_once = self._tables(device), len(rays) // launches
-        each = ceil(max(0.5 * self.photons / columns, RAYS) * at_once / ITEMS)  # one photon at least from each ray
-        factor = self.beam.pitch / UNITS * at_once / (ITEMS * each) / np.repeat(self.areas, rings[:, 1])
+        wanted = max(0.5 * self.photons / columns, RAYS) * at_once  # one photon at least from each ray
+        items = int(min(max(2.0 ** int(log2(wanted / OWN)), ITEMS), MOST_ITEMS))
+        each = ceil(wanted / items)
+        factor = self.beam.pitch / UNITS * at_once / (items * each) / np.repeat(self.areas, rings[:, 1])
         given_bins = {"factor": device.table(factor), "basis": device.table(basis)}
         tally = device.table(np.zeros((at_once, cells, bins, 2)), "uint32")
         sums = [device.empty((at_once, cells, *rest), table=True) for rest in ((), basis.shape[1:])]
-        ends = [device.empty((ITEMS,), np.dtype(np.uint32), table=True) for _ in range(2)]
+        ends = [device.empty((items,), np.dtype(np.uint32), table=True) for _ in range(2)]
         whole, light = (np.empty((len(rays), *some.shape[1:]), np.float32) for some in sums)
         for first in range(0, len(rays), at_once):
             some = slice(first, first + at_once)
@@ -124,8 +124,8 @@ class PhotonCount:
                           seed=(seed * len(rays) + first) & 0x7FFFFFFF, absorbed=ends[0], escaped=ends[1],
                           tally=tally)  # fmt: skip
             ended = sum(int(end.numpy().sum(dtype=np.int64)) for end in ends)
-            if ended < 0.999 * ITEMS * each:
-                raise BadInput(f"{ended} of {ITEMS * each} photons ended within {SEGMENTS} collisions; expected 99.9 %:"
+            if ended < 0.999 * items * each:
+                raise BadInput(f"{ended} of {items * each} photons ended within {SEGMENTS} collisions; expected 99.9 %:"
                                f" a resin with {self.scatterer.coefficient:g} /mm of scattering needs more absorption, "
                                "or a smaller vial")  # fmt: skip
             device.launch(sum_bins, tally=tally, **given_bins, whole=sums[0], light=sums[1])

@@ -15,10 +15,7 @@ from vamgpu.operators.projection import Projection
 
 
 class PoseRuns:
-    """A turn cut into runs of neighboring angles. Raises `BadInput` for fewer angles than runs.
-
-    A `Projection` is cut; any other operator takes the light of a run with the other angles dark.
-    """
+    """A turn cut into runs of neighboring angles; only a `Projection` is cut itself. Raises `BadInput`."""
 
     def __init__(self, operator: LinearOperator, count: int) -> None:
         motion = getattr(operator, "motion", None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import cached_property
 from math import hypot
@@ -18,7 +18,7 @@ from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.frame_motion import mean, places, straight_parts
 from vamgpu.operators.linear import VoxelProjector
-from vamgpu.operators.ray_table import OpenAir, column_in_resin, tabulate
+from vamgpu.operators.ray_table import OpenAir, RayTable, column_in_resin, tabulate
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.travel import at_rest
 
@@ -59,7 +59,7 @@ class Projection(VoxelProjector):
         self.vessel: Vessel | None = vessel
         if motion.travel is not None and motion.travel.aside and vessel is not None:
             raise BadInput(f"got a part that moves sideways in {vessel!r}, where light differs from place to place; "
-                           "expected straight light (no vessel), or Oblique with a Wobble")  # fmt: skip
+                           "expected straight light (no vessel), or [wobble]: Oblique with a Wobble")  # fmt: skip
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         self._light = self._lit()
         self._turn(motion)
@@ -81,10 +81,14 @@ class Projection(VoxelProjector):
         reach = min(vessel.lit_radius, 0.5 * grid.pitch * hypot(*grid.shape[:2]))
         return straight_parts(self.motion, reach / column_in_resin(self.beam, vessel))
 
+    @cached_property
+    def _table(self) -> RayTable:
+        arc = float(self.motion.arcs.max()) / self._parts
+        return tabulate(self.grid, self.beam, self.vessel or OpenAir(), arc=arc)
+
     def _lit(self) -> dict[str, object]:
         """Arguments of both directions."""
-        arc = float(self.motion.arcs.max()) / self._parts
-        self._table = light = tabulate(self.grid, self.beam, self.vessel or OpenAir(), arc=arc)
+        light = self._table
         ratio, strength = self.grid.pitch / self.beam.pitch, self.grid.pitch**2 / self.beam.pitch
         bent, table = self.vessel is not None, self.device.table
         return {
@@ -170,3 +174,16 @@ class Projection(VoxelProjector):
         out = self.device.empty((*self.grid.shape[:2], light.shape[2]))
         self._back(self._dwell.weighted(self.device.field(light)), out)
         return out
+
+
+def prepared(A: Projection, beam: Beam, vessel: Vessel | None) -> Callable[[], Projection]:
+    """A with another beam and vessel: makes the table, which needs no device, and returns a function for the rest."""
+    other = object.__new__(Projection)
+    given = other.grid, other.beam, other.motion, other.vessel = A.grid, beam, A.motion, vessel
+    assert other._table
+
+    def made() -> Projection:
+        Projection.__init__(other, *given, A.device)
+        return other
+
+    return made

@@ -89,11 +89,7 @@ def extents(
 
 
 def window(dose: DeviceArray, target: DeviceArray, reach: float, margin: float = 0.0) -> tuple[float, float, float]:
-    """Least dose inside the part, greatest dose outside it, greatest dose; inside: a fraction of one half or more.
-
-    reach: radius of the cylinder that counts, in voxels. If a part fills it all, the dose outside is −infinity. margin:
-    range of fractions on either side of one half that count as neither.
-    """
+    """Least dose in the part, greatest outside, greatest. reach: voxels; fractions within margin of ½ are neither."""
     limits = [(0.5 + margin, inf), (-inf, 0.5 - margin), (-inf, inf)]
     inside, outside, *whole = extents(dose, target, limits if margin else limits[:2], reach)
     return inside[0], outside[1], max(high for _, high in (inside, outside, *whole))

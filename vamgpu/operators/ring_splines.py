@@ -1,9 +1,5 @@
-"""Splines through samples on rings: 4 × 4 coefficients about a point give the field there.
-
-Cubic O-MOMS, the piecewise polynomials of maximal order and minimal support that approximate smooth functions best: T.
-Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients follow from samples by a division
-for each angular frequency and an elimination along the radius. Both are linear and the same at every angle: they are
-applied once to a table of angular frequencies, and products then give coefficients instead of samples.
+"""Cubic O-MOMS splines through samples on rings (T. Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001)
+1069): 4 × 4 coefficients about a point. They are made once, from a table of angular frequencies.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.space import VolumeSpace, WebSpace, require
+from vamgpu.operators.space import VolumeSpace, require
 from vamgpu.web import WebGrid
 
 
@@ -23,7 +23,7 @@ class Scaled(LinearOperator):
         values = np.asarray(factors, np.float32)
         if not np.isfinite(values).all():
             raise BadInput("factors of voxels hold NaN or infinity; expected finite numbers")
-        space = VolumeSpace(grid) if isinstance(grid, Grid) else WebSpace(grid)
+        space = VolumeSpace(grid)
         require(space, values, "the factors")
         self.grid: Grid | WebGrid = grid
         self._set_spaces(space, space, open_device(device))

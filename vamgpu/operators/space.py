@@ -5,88 +5,51 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import WebGrid
 
+AXES: dict[type, tuple[str, str, str]] = {
+    Grid: ("x", "y", "z"), PolarGrid: ("angle", "cell", "z"), WebGrid: ("l", "rho", "z"),
+}  # fmt: skip
+"""Axes of the values on a grid."""
+
 
 @dataclass(frozen=True)
 class VolumeSpace:
-    """Values on the voxels of a grid, axes ``[x, y, z]``."""
+    """Values on the voxels of a grid, on the cells of rings, or on the voxels of a web."""
 
-    grid: Grid
-    axes: ClassVar[tuple[str, str, str]] = ("x", "y", "z")
+    grid: Grid | PolarGrid | WebGrid
+
+    @property
+    def axes(self) -> tuple[str, str, str]:
+        """Names of the axes."""
+        return AXES[type(self.grid)]
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
+        """Voxels along each axis."""
         return self.grid.shape
 
 
 @dataclass(frozen=True)
 class SinogramSpace:
-    """Values on the pixels of a beam at every pose of a turntable, axes ``[angle, r, z]``."""
+    """Values on the pixels of a beam at every angle of a turntable or of a web, axes ``[angle, r, z]``."""
 
     beam: Beam
-    motion: Turntable
+    motion: Turntable | WebMotion
     axes: ClassVar[tuple[str, str, str]] = ("angle", "r", "z")
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Number of angles, columns and rows."""
-        return (self.motion.angles, *self.beam.pixels)
-
-    @property
-    def angles(self) -> np.ndarray:
-        """Pose angles [rad]."""
-        return self.motion.poses
+        motion = self.motion
+        return (motion.poses if isinstance(motion, WebMotion) else motion.angles, *self.beam.pixels)
 
 
-@dataclass(frozen=True)
-class WebSpace:
-    """Values on the voxels of a web, axes ``[l, rho, z]``."""
-
-    grid: WebGrid
-    axes: ClassVar[tuple[str, str, str]] = ("l", "rho", "z")
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Voxels along l, rho and z."""
-        return self.grid.shape
-
-
-@dataclass(frozen=True)
-class WebSinogramSpace:
-    """Values on the pixels of a beam at every angle of a web, axes ``[angle, r, z]``."""
-
-    beam: Beam
-    motion: WebMotion
-    axes: ClassVar[tuple[str, str, str]] = ("pose", "r", "z")
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of angles, columns and rows."""
-        return (self.motion.poses, *self.beam.pixels)
-
-
-@dataclass(frozen=True)
-class PolarSpace:
-    """Values on the cells of rings, axes ``[angle, cell, z]``."""
-
-    grid: PolarGrid
-    axes: ClassVar[tuple[str, str, str]] = ("angle", "cell", "z")
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of angles, of cells between two of them, and of slices."""
-        return self.grid.shape
-
-
-Space = VolumeSpace | SinogramSpace | PolarSpace | WebSpace | WebSinogramSpace
+Space = VolumeSpace | SinogramSpace
 
 
 def require(space: Space, value: Any, name: str) -> None:

@@ -21,7 +21,7 @@ from vamgpu.operators.polar import PolarGrid, PoseTile, tiles_of_vessel
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.ring_table import ring_table
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
+from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.transforms import Passes, Place, ring_band, ring_radices, straight_passes
 from vamgpu.schema.quantities import finite
 
@@ -64,7 +64,7 @@ class SpectralProjection(LinearOperator):
         DeviceError: There is no such device.
     """
 
-    domain: PolarSpace
+    domain: VolumeSpace
     range: SinogramSpace
     grid: PolarGrid
     beam: Beam
@@ -95,7 +95,7 @@ class SpectralProjection(LinearOperator):
         self._has_tiles = tiles is not None
         self.tf32: bool = tf32
         self.grid, self.beam, self.vessel, self.motion = grid, beam, vessel, motion
-        self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
@@ -113,7 +113,7 @@ class SpectralProjection(LinearOperator):
         other = copy(self)
         other.grid = replace(self.grid, slices=slices)
         other.beam = replace(self.beam, pixels=(self.beam.pixels[0], slices))
-        other.domain, other.range = PolarSpace(other.grid), SinogramSpace(other.beam, self.motion)  # pyright: ignore
+        other.domain, other.range = VolumeSpace(other.grid), SinogramSpace(other.beam, self.motion)  # pyright: ignore
         other._rows = RowResampler.of(other.beam, slices, self.grid.slice_pitch, self.device)
         other._light_shape = (*self._light_shape[:2], slices)
         vars(other).pop("_held", None)  # its work fields are smaller

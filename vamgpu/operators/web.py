@@ -11,11 +11,11 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Beam, one_ray_a_pixel
-from vamgpu.kernels.unfold import mix_poses
+from vamgpu.kernels.unfold import mix_poses, shift_window
 from vamgpu.operators.bands import Bands
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import WebSinogramSpace, WebSpace, require_kinds
+from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 
@@ -50,8 +50,8 @@ class WebProjection(LinearOperator):
         DeviceError: There is no such device.
     """
 
-    domain: WebSpace
-    range: WebSinogramSpace
+    domain: VolumeSpace
+    range: SinogramSpace
     grid: WebGrid
     beam: Beam
     light: Propagation
@@ -126,8 +126,8 @@ class WebProjection(LinearOperator):
         self.motion = WebMotion.past(grid.shape[0], light.shape[2], step, poses, start)
         self.motion.check_lit(light, grid.shape[0], whole_web=poses is None and start is None)
         self.first = self.motion.start
-        self.domain = WebSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = WebSinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.device: Device = open_device(device)
         self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         self._between = None if self.motion.whole else _Between(self.motion, light.way, self.device)
@@ -142,28 +142,26 @@ class WebProjection(LinearOperator):
     @property
     def nbytes(self) -> int:
         """Bytes of the tables on the device, for both directions."""
-        between = self._between.nbytes if self._between else 0
-        return self._forward.nbytes + self._transposed.nbytes + between
+        mixed = () if self._between is None else (*self._between.mix.values(), *self._between.unmix.values())
+        return sum(getattr(each, "nbytes", 0) for each in (*self._forward.values(), *self._transposed.values(), *mixed))
 
     def _light(self, poses: int) -> DeviceArray:
         return self.device.empty((poses, self.beam.pixels[0], self.grid.shape[2]))
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         with self._rows.filling(out) as slices:
-            if self._between is None:
-                self._forward.gather(x, slices)
-            else:
-                whole = self._light(self._between.count)
-                self._forward.gather(x, whole)
-                self._between.mix(whole, slices)
+            whole = slices if self._between is None else self._light(self._between.count)
+            self.device.launch(shift_window, source=x, **self._forward, target=whole)
+            if self._between is not None:
+                self.device.launch(mix_poses, source=whole, **self._between.mix, target=slices)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         slices = self._rows.in_slices(y)
         if self._between is not None:
             whole = self._light(self._between.count)
-            self._between.unmix(slices, whole)
+            self.device.launch(mix_poses, source=slices, **self._between.unmix, target=whole)
             slices = whole
-        self._transposed.gather(slices, out)
+        self.device.launch(shift_window, source=slices, **self._transposed, target=out)
 
 
 class _Between:
@@ -171,24 +169,11 @@ class _Between:
 
     def __init__(self, motion: WebMotion, way: float, device: Device) -> None:
         pose, column, weight = motion.taps(way)
-        self.device, self.first = device, int(column.min())
+        self.first = int(column.min())
         column -= self.first
         self.count = int(column.max()) + 1
-        self._mix = _by_row(device, motion.poses, pose, column, weight)
-        self._unmix = _by_row(device, self.count, column, pose, weight)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the tables."""
-        return sum(table.nbytes for table in (*self._mix.values(), *self._unmix.values()))
-
-    def mix(self, whole: DeviceArray, poses: DeviceArray) -> None:
-        """Light at the angles, from light at whole columns."""
-        self.device.launch(mix_poses, source=whole, target=poses, **self._mix)
-
-    def unmix(self, poses: DeviceArray, whole: DeviceArray) -> None:
-        """The transpose."""
-        self.device.launch(mix_poses, source=poses, target=whole, **self._unmix)
+        self.mix = _by_row(device, motion.poses, pose, column, weight)
+        self.unmix = _by_row(device, self.count, column, pose, weight)
 
 
 def _by_row(

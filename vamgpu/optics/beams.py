@@ -1,7 +1,6 @@
 """Beams other than the collimated, centered one: each wraps a round vessel, or air, with another ray map.
 
-The beams do not rotate; a map at one angle therefore describes them. `Misaligned` and `Fan` turn rays only in the
-plane across the axis and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
+They do not turn, so a map at one angle describes them: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
 """
 
 from __future__ import annotations
@@ -109,19 +108,7 @@ class Misaligned(Wrapper):
         )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """The ray through each point. The weight counts columns in the plane: 1 / (magnification · cos of the ray's
-        slope).
-
-        Args:
-            across: Position X across the light [mm], (...,).
-            along: Position Y along the light [mm], (...,), broadcast with ``across``.
-
-        Returns:
-            Columns u [mm], (...,), and weights, (...,), as for `Vessel`.
-
-        Raises:
-            BadInput: A point is behind the pupil of the projector.
-        """
+        # weights count columns in the plane: 1 / (magnification · cos of the ray's slope)
         x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         farthest = float(np.hypot(x, y).max(initial=0.0))
         if farthest >= self.distance:

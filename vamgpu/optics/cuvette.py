@@ -18,10 +18,8 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Deviation, HalfAngle, Index, Length, NonNegative, Thickness
 
 QUANTILES = 1 << 12
-MOST = 4000
-"""Greatest number of segments of a photon; light that is still in the resin then is lost."""
-ANGLES = 1 << 12
-"""Cosines from 0 to 1 at which the transmittance of a face is computed."""
+MOST = 4000  # greatest number of segments of a photon; one that is still in the resin then is given up
+ANGLES = 1 << 12  # cosines from 0 to 1 at which the transmittance of a face is computed
 
 
 @dataclass(frozen=True)
@@ -89,19 +87,20 @@ class Cuvette:
 
 def detected(
     cuvette: Cuvette, thickness: float, resin: Scattering, absorption: float, edges: Floats, photons: int, seed: int
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+) -> tuple[Floats, Floats, Floats, float]:  # fmt: skip
     """Collimated light, total light, and light on rings between edges [mm] of the paper, for a beam of 1.
 
-    Returns them, (2 + rings,), their derivatives by μ_s, g and absorption, (3, 2 + rings), and their variance by the
-    number of photons. Derivatives come from the same photons: the probability of a path of length ℓ with n collisions
-    is proportional to μ_s^n · exp(−(μ_s + absorption)·ℓ) times the phase function at each of them.
+    Returns them, (2 + rings,), their derivatives by μ_s, g and absorption, (3, 2 + rings), their variance by the number
+    of photons, and the light of photons that were given up. Derivatives come from the same photons: the probability of
+    a path of length ℓ with n collisions is proportional to μ_s^n · exp(−(μ_s + absorption)·ℓ) times the phase function
+    at each of them.
     """
     rate, reflected = resin.coefficient, 1.0 - cuvette.clear
     once = exp(-(rate + absorption) * thickness)
     again = (reflected * once) ** 2
     beam = cuvette.clear**2 * once / (1.0 - again)  # light that is not scattered
     first = -expm1(-rate * thickness) * (1.0 + reflected * exp(-rate * thickness)) * cuvette.clear / photons
-    number, chance, path, score, away, wide, sine = _followed(cuvette, thickness, resin, photons, seed)
+    (number, chance, path, score, away, wide, sine), left = _followed(cuvette, thickness, resin, photons, seed)
     weight = first * chance * np.exp(-absorption * path)
     seen = (sine < np.sin(cuvette.acceptance), away < 0.5 * (cuvette.port or np.inf))
     ring = np.digitize(wide, edges) - 1
@@ -117,13 +116,13 @@ def detected(
     slope = np.array([summed(weight * each) for each in (*score, -path)])
     value[:2] += beam
     slope[::2, :2] -= thickness * beam * (1.0 + again) / (1.0 - again)
-    return value, slope, variance
+    return value, slope, variance, first * float(np.exp(-absorption * left).sum())
 
 
 def _followed(
     cuvette: Cuvette, thickness: float, resin: Scattering, photons: int, seed: int
-) -> tuple[np.ndarray, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Ways of photons out of the far face, all scattered at least once."""
+) -> tuple[tuple[np.ndarray, Floats, Floats, Floats, Floats, Floats, Floats], Floats]:  # fmt: skip
+    """Ways of photons out of the far face, all scattered at least once; and paths [mm] of those given up."""
     # Returns of each: photon; probability; path [mm]; derivatives of its logarithm by μ_s and g, (2, ways);
     # distance from the beam at the outer face and on the paper [mm]; sine of the angle behind the cuvette.
     rate, number, ends = resin.coefficient, np.arange(photons), []
@@ -159,12 +158,13 @@ def _followed(
         if not number.size:
             break
         free = free_path(unit(bits[0][live])).astype(np.float64) / rate
+    left = path
     p, u, path, number, count, bend, chance = (np.concatenate(each, axis=-1) for each in zip(*ends, strict=True))
     at_face = p[:2] + cuvette.wall * u[:2] / _cosine(u, cuvette, cuvette.wall_index)
     on_paper = at_face + cuvette.screen * u[:2] / _cosine(u, cuvette, cuvette.bath_index)
     sine = cuvette.resin_index / cuvette.bath_index * np.hypot(u[0], u[1])
     score = np.stack([count / rate - path, bend])
-    return number, chance, path, score, np.hypot(*at_face), np.hypot(*on_paper), sine
+    return (number, chance, path, score, np.hypot(*at_face), np.hypot(*on_paper), sine), left
 
 
 def _cosine(u: np.ndarray, cuvette: Cuvette, index: float) -> Floats:

@@ -39,10 +39,7 @@ def _cosine(sine: Floats) -> Floats:
 
 
 def turn(faces: Sequence[Face], u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Cosine and sine of the total deviation and its slope [rad/mm] for the columns u [mm].
-
-    The deviations of the faces are added as products of unit complex numbers; this needs only square roots.
-    """
+    """Cosine and sine of the total deviation, a product of unit complex numbers, and its slope [rad/mm] for u [mm]."""
     cos_all, sin_all, slope = np.ones_like(u), np.zeros_like(u), np.zeros_like(u)
     for face in faces:
         sin_in, sin_out = face.sines(u)

@@ -12,8 +12,7 @@ from vamgpu.optics.faces import Face, transmit
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Length, measured
 
-NEGLIGIBLE = 0.05
-"""Share of the light below which it does not count for the window of light (Toombs et al., S11)."""
+NEGLIGIBLE = 0.05  # share of the light below which it does not count for the window of light (Toombs et al., S11)
 
 
 @dataclass(frozen=True)

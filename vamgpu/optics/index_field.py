@@ -17,8 +17,7 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place
 
-FAR = 1e30
-"""Stands for "no border"; devices cannot handle infinity."""
+FAR = 1e30  # stands for "no border"; devices cannot handle infinity
 EVERYWHERE = (-FAR, -FAR, -FAR)
 EXTRAPOLATE = np.array([[10.0, -20.0, 15.0, -4.0], [4.0, -6.0, 4.0, -1.0]])
 """Two samples before the first four, from the cubic through them."""

@@ -10,8 +10,7 @@ from vamgpu.schema.quantities import numeric
 
 Floats = NDArray[np.float64]
 
-LOW_TRANSMITTANCE = 0.8
-"""Share of the light below which a vessel warns: regions with less light print late."""
+LOW_TRANSMITTANCE = 0.8  # share of the light below which a vessel warns: regions with less light print late
 
 
 class Container(Vessel):

@@ -1,8 +1,6 @@
 """A lens tuned by a current, in the Fourier plane of a relay: where the projector focuses, and how to set the focus.
 
-The projector consists of two relays in series, L1 and L2, then L3 and L4. The tunable lens stands between L1 and L2
-where the mirrors' light crosses. A fixed lens next to it compensates the middle of its range. Magnification and
-telecentricity then do not depend on its power, and the focus moves in proportion to the power.
+It stands where light crosses between L1 and L2 of two relays: magnification and telecentricity do not depend on it.
 """
 
 from __future__ import annotations
@@ -18,8 +16,7 @@ from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Count, Index, Length, LensPower, Place, Thickness, Time
 
-DIOPTER = 1e-3
-"""One diopter [1/mm]."""
+DIOPTER = 1e-3  # one diopter [1/mm]
 
 
 @dataclass(frozen=True)

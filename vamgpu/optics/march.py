@@ -20,14 +20,10 @@ from vamgpu.optics.inputs import Floats, as_offsets
 
 ORDERS = {"sharma": 4, "leapfrog": 2, "yoshida": 4}
 """Steppers and their orders; the last two are symplectic. Their positions are their numbers in the kernels."""
-FIRST = 32
-"""Steps across the region at the start."""
-TURNS = 64
-"""Number of region sizes that a ray may travel before it counts as one that never leaves."""
-HALVINGS = 10
-"""Number of halvings of the first step before a ray counts as one that does not converge."""
-NOISE = 4e-6
-"""Share of the region's size below which float32 cannot distinguish two ends."""
+FIRST = 32  # steps across the region at the start
+TURNS = 64  # number of region sizes that a ray may travel before it counts as one that never leaves
+HALVINGS = 10  # number of halvings of the first step before a ray counts as one that does not converge
+NOISE = 4e-6  # share of the region's size below which float32 cannot distinguish two ends
 
 
 @dataclass(frozen=True, eq=False)

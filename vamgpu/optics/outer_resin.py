@@ -1,8 +1,6 @@
 """The dose of resin outside the voxels of the judged cylinder: beside it out to the wall, and above and below it.
 
-Beyond the lit radius of a vessel, several rays or none meet a point. Cells therefore get the energy that traced rays
-leave in them, not the light of the ray through a point. The light of every angle is that of one angle, rotated;
-products are therefore those of `SpectralProjection`.
+Beyond the lit radius several rays or none meet a point: cells get the energy that traced rays leave in them.
 """
 
 from __future__ import annotations
@@ -31,18 +29,15 @@ from vamgpu.operators.polar import PolarGrid, WritesPose, writes_stored
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
-from vamgpu.operators.space import PolarSpace, SinogramSpace
+from vamgpu.operators.space import SinogramSpace, VolumeSpace
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, traced_rays
 from vamgpu.schema.quantities import Thickness
 
-WIDTH = 2.0
-"""Width of a cell beside the part [voxels]."""
-MOST_ANGLES = 1440
-"""Greatest number of evenly spaced angles per turn between which measured angles are placed."""
-TOGETHER = 64
-"""Rows whose crossings a thread finds at once."""
+WIDTH = 2.0  # width of a cell beside the part [voxels]
+MOST_ANGLES = 1440  # greatest number of evenly spaced angles per turn between which measured angles are placed
+TOGETHER = 64  # rows whose crossings a thread finds at once
 RAYS, STEPS = 6, 8
 """Rays traced per column, or, if that is more, `STEPS` per ring width; and positions on each ray across one ring."""
 
@@ -138,7 +133,7 @@ class OuterResin(LinearOperator):
     # A[i, j] is the mean over cell j of the light of pixel i, × the volume of a voxel / the area of a pixel. Angles
     # that are not evenly spaced are divided among the even angles next to them; arcs count by their mean.
 
-    domain: PolarSpace
+    domain: VolumeSpace
 
     def __init__(self, A: Projection | RingProjection, cells: OuterRings) -> None:
         self.grid: Grid = A.grid
@@ -148,7 +143,7 @@ class OuterResin(LinearOperator):
         self.device: Device = A.device
         self._made = OuterResin, (A, cells)
         self.cells: OuterRings = cells
-        self.domain = PolarSpace(cells)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.domain = VolumeSpace(cells)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range: SinogramSpace = A.range  # pyright: ignore[reportIncompatibleVariableOverride]
         tiles = _tiles(A, cells)
         rest = Turntable(cells.angles, lit_share=0.0)  # tiles know how far each frame turns
@@ -319,19 +314,19 @@ def _paths(rays: Rays, cells: OuterRings) -> tuple[Any, np.ndarray]:
     rows = 2 * ceil(edges[-1] / cells.pitch * STEPS)
     step = 2.0 * edges[-1] / rows
 
-    def crossed(along: float) -> tuple[np.ndarray, np.ndarray]:
-        """Cell in which each ray crosses a row, −1 outside of all, and its path there over the area."""
-        across, cosine, share = rays.cross(along)
-        radius = np.hypot(across, along)
+    def crossed(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cells in which rays cross rows, −1 outside of all, and their paths there over the area; each (rays, rows)."""
+        across, cosine, share = rays.cross(along[:, None])
+        radius = np.hypot(across, along[:, None])
         ring = np.clip((radius - cells.inner) / cells.pitch, 0, cells.rings - 1).astype(int)
-        turn = np.arctan2(across, -along) / FULL_TURN
+        turn = np.arctan2(across, -along[:, None]) / FULL_TURN
         place = first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring]
         inside = (radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0)
-        return np.where(inside, place, -1), share * step / cosine / area[ring]
+        return np.where(inside, place, -1).T, (share * step / cosine / area[ring]).T
 
     def summed(some: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cells, rays and paths in some rows; rows that follow each other in a cell are one."""
-        place, length = (np.stack(each, axis=1).ravel() for each in zip(*map(crossed, some.tolist()), strict=True))
+        place, length = (each.ravel() for each in crossed(some))
         ray = np.repeat(np.arange(rays.u.size), some.size)
         begins = np.flatnonzero(np.diff(place, prepend=-2).astype(bool) | (np.diff(ray, prepend=-1) > 0))
         kept = place[begins] >= 0

@@ -1,7 +1,6 @@
 """Beams whose light also moves along the axis of rotation: each consists of a plane, which is a vessel, and rows.
 
-`Oblique` projects them. Both are for light that is straight in the resin: air, or a vat whose liquid matches it. A
-round vial would also bend rising light out of the plane.
+`Oblique` projects them, in air or a vat whose liquid matches: a round vial would bend rising light out of the plane.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.optics.vat import Vat
 from vamgpu.schema.quantities import Length, Place, Turn, finite
 
-STEEPEST = np.radians(80.0)
-"""Elevation beyond which rays hardly cross the resin."""
+STEEPEST = np.radians(80.0)  # elevation beyond which rays hardly cross the resin
 
 
 @dataclass(frozen=True, init=False)

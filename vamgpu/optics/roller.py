@@ -27,8 +27,7 @@ from vamgpu.web import Propagation, WebGrid
 Volume = Literal["flat", "bent"]
 LARGEST_GAIN = 2.0
 """Default gain at which the compensation of Fresnel's loss is clipped; without a limit it would diverge."""
-SAME = 1e-6
-"""Relative difference up to which the thickness of a grid counts as that of the film."""
+SAME = 1e-6  # relative difference up to which the thickness of a grid counts as that of the film
 
 
 @dataclass(frozen=True)

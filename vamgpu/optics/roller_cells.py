@@ -1,7 +1,6 @@
 """Energy that straight segments of rays leave in the voxels of the flat film: exact crossings, no steps.
 
-On the roller, the walls of the voxels are circles and radii; in the straight runs they are planes. Cut at its point
-nearest the axis, a segment is monotonic in l and in rho, and its crossings with walls are two lists in closed form.
+Cut at its point nearest the axis, a segment is monotonic in l and rho: its crossings with walls have closed forms.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from vamgpu.optics.wrap_map import WrapMap
 
 Reals = NDArray[np.floating]
 
-MOST_CROSSINGS = 1 << 16
-"""Crossings, and voxels, processed at a time: as many as fit a processor's cache."""
+MOST_CROSSINGS = 1 << 16  # crossings, and voxels, processed at a time: as many as fit a processor's cache
 SMALLEST_IMPACT = 1e-12
 """Distance that keeps the angle of a ray through the axis defined [mm]; far below rounding errors."""
 

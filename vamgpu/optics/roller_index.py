@@ -14,8 +14,7 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
-NUDGE = 1e-4
-"""Half the distance [mm] of the finite difference for the gradient of the index."""
+NUDGE = 1e-4  # half the distance [mm] of the finite difference for the gradient of the index
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """Rays marched on a device from face to face of a film whose index is a field.
 
-The marching kernels end a region at one quadric and a box. Over the roller, rays are marched once to the outer circle
-and once to the inner one, and the first end counts; a straight run is a box.
+Over the roller, rays are marched to the outer and to the inner circle, and the first end counts; a run is a box.
 """
 
 from __future__ import annotations
@@ -17,12 +16,10 @@ from vamgpu.optics.index_field import FAR, IndexField
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.march import Marcher
 
-PATHS = 1 << 26
-"""Bytes of the paths of the rays that are marched at a time."""
+PATHS = 1 << 26  # bytes of the paths of the rays that are marched at a time
 DETOUR = 1.2
 """Steps marched at a time, relative to those of the longest straight path; rays that bend more continue from there."""
-INNER, OUTER, MIDDLE, FINISH, NONE = range(5)
-"""The faces, numbered as in `roller_rays`."""
+INNER, OUTER, MIDDLE, FINISH, NONE = range(5)  # the faces, numbered as in `roller_rays`
 
 
 class FilmMarcher:

@@ -1,7 +1,6 @@
 """Rays through a film about a roller: from face to face, straight in between.
 
-The faces are concentric circles in front of the roller's axis (y < 0) and planes |x| = const behind it, where the web
-leaves the roller along two straight runs.
+Faces are concentric circles in front of the roller's axis (y < 0), and planes |x| = const along the runs behind it.
 """
 
 from __future__ import annotations
@@ -19,11 +18,9 @@ from vamgpu.optics.interface import fresnel, left
 from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_march import FINISH, INNER, MIDDLE, NONE, OUTER, FilmMarcher
 
-MOST_FACES = 2000
-"""Number of faces after which a ray counts as one that never leaves."""
+MOST_FACES = 2000  # number of faces after which a ray counts as one that never leaves
 
-MOST_CHORDS = 1000
-"""Number of chords of a clear roller along its back after which a ray counts as lost in it."""
+MOST_CHORDS = 1000  # number of chords of a clear roller along its back after which a ray counts as lost in it
 
 
 class End(IntEnum):

@@ -15,12 +15,10 @@ MOVED = 4.0
 """Largest number of pixels by which a point of the part may move from one angle to the next. A boat with a radius of
 165 pixels has the same window one pixel from its surface, +0.12, with 180 angles (its rim moves by 5.8 pixels per step)
 as with 1,080; it has +0.115 with 120 angles (8.6 pixels), and +0.08 with 90."""
-RESTING = 0.5
-"""Smallest share of a step that is assumed, for a container that rests while a frame is lit."""
+RESTING = 0.5  # smallest share of a step that is assumed, for a container that rests while a frame is lit
 WHOLE = 60
 """Divisor of the number of angles: steps are then whole fractions of a degree, and transforms over angles are fast."""
-COARSER = 1.02
-"""Ratio of the widths of a voxel and a pixel in the resin above which voxels count as wider."""
+COARSER = 1.02  # ratio of the widths of a voxel and a pixel in the resin above which voxels count as wider
 
 
 def resin_pixel(beam: Beam, vessel: Any = None) -> tuple[float, float]:

@@ -11,8 +11,7 @@ from vamgpu.errors import BadInput
 from vamgpu.schema import check
 from vamgpu.schema.quantities import NonNegative, ScatteringCoefficient, Turn, finite
 
-STEPS = 1 << 14
-"""Cosines between −1 and 1 at which a phase function is added up."""
+STEPS = 1 << 14  # cosines between −1 and 1 at which a phase function is added up
 SHARPEST = 0.98
 """Greatest anisotropy: beyond it, light is hardly turned, and a phase function that sharp is not sampled exactly."""
 
@@ -41,11 +40,10 @@ class Scattering:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.anisotropy != "rayleigh":
-            g = finite("Scattering anisotropy", self.anisotropy)
-            if abs(g) > SHARPEST:
-                raise BadInput(f"Scattering anisotropy is {g:g}; expected −{SHARPEST} to {SHARPEST}, or 'rayleigh': it "
-                               "is the mean cosine of the scattering angle")  # fmt: skip
+        g = 0.0 if self.anisotropy == "rayleigh" else self.anisotropy
+        if isinstance(g, str) or abs(finite("Scattering anisotropy", g)) > SHARPEST:
+            raise BadInput(f"Scattering anisotropy is {g!r}; expected −{SHARPEST} to {SHARPEST}, a number without "
+                           "quotes, or 'rayleigh': it is the mean cosine of the angle")  # fmt: skip
         if self.phase is not None:
             object.__setattr__(self, "phase", _rising(self.phase))
 

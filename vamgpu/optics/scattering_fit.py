@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import atanh, exp, inf, log, tanh
+from math import atanh, ceil, exp, inf, log, tanh
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -17,27 +17,23 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.optics.scattering import Scattering
 from vamgpu.quantity import positive
 
-RINGS = 24
-"""Rings of an image whose light is fitted."""
-PHOTONS = 200_000
-"""Photons that are followed through each cuvette."""
+RINGS = 24  # rings of an image whose light is fitted
+PHOTONS = 200_000  # photons that are followed through each cuvette
 LEAST = 1000  # fewest photons that may be followed
-MOST = 30
-"""Greatest number of steps of the fit, and of those towards the middle of an image."""
+MOST = 30  # greatest number of steps of the fit, and of those towards the middle of an image
 NEAR, SETTLED = 10.0, 0.5
 """Fall of the sum of squares by a step, over their mean, below which all photons are followed, and the fit ends."""
-LONGEST = np.array([0.5, 0.4])
-"""Greatest step of ln μ_s and of artanh g."""
-SHARPEST = atanh(0.975)
-"""Greatest artanh of the anisotropy."""
-CONTRADICTED = 5.0
-"""Standard deviations from the others above which a reading contradicts them."""
-UNKNOWN = 0.25
-"""Greatest standard deviation of g, and of μ_s relative to itself."""
-HOT = 1e-3
-"""Share of saturated pixels that may be faults of the camera."""
-TWO_SIDED = 1.96
-"""Standard deviations of a 95 % interval to either side."""
+LONGEST = np.array([0.5, 0.4])  # greatest step of ln μ_s and of artanh g
+SHARPEST = atanh(0.975)  # greatest artanh of the anisotropy
+CONTRADICTED = 5.0  # standard deviations from the others above which a reading contradicts them
+UNKNOWN = 0.25  # greatest standard deviation of g, and of μ_s relative to itself
+HOT = 1e-3  # share of saturated pixels that may be faults of the camera
+PILED, BELOW = 3.0, 20
+"""Pixels at the greatest gray level, over those at any of so many levels below, from which it is taken as saturated."""
+LOST = 0.1
+"""Light of photons that were given up, in standard deviations of total light, from which a fit is refused."""
+FEW = 10  # photons that the darkest ring should receive
+TWO_SIDED = 1.96  # standard deviations of a 95 % interval to either side
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +124,7 @@ def fit_scattering(
 
     x, count = np.array([log(rates[0] - absorption), atanh(0.8), absorption]), max(photons // 8, LEAST)
     for _ in range(MOST):
-        residual, slope = _equations(cuvette, samples, readings, x, count, seed)
+        residual, slope = _equations(cuvette, samples, readings, x, count, seed, count == photons)
         bounded = x[2] == 0.0 and slope[:, 2] @ residual > 0.0
         free = slope * [1.0, 1.0, 0.0 if bounded else 1.0]
         step = -np.linalg.pinv(free) @ residual
@@ -143,13 +139,21 @@ def fit_scattering(
 
 def _equations(
     cuvette: Cuvette, samples: Sequence[CuvetteSample], readings: Sequence[tuple[Floats, Floats, Floats]], x: Floats,
-    photons: int, seed: int,
+    photons: int, seed: int, last: bool,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Residuals of all readings, and their slopes by ln μ_s, artanh g and absorption."""
+    """Residuals of all readings, and their slopes by ln μ_s, artanh g and absorption. Raises `BadInput`."""
     resin, found = Scattering(exp(x[0]), tanh(x[1])), []
     inner = np.array([resin.coefficient, 1.0 - tanh(x[1]) ** 2, 1.0])[:, None]
     for k, (sample, (value, error, edges)) in enumerate(zip(samples, readings, strict=True)):
-        light, slope, variance = detected(cuvette, sample.thickness, resin, float(x[2]), edges, photons, seed + k)
+        light, slope, variance, lost = detected(cuvette, sample.thickness, resin, float(x[2]), edges, photons, seed + k)
+        rings = light[2:]
+        if rings.size and not rings.any() or last and not rings.all():
+            enough = ceil(FEW * value[2:].sum() / (value[2:].min() * max(rings.sum(), 1.0 / photons)))
+            raise BadInput(f"none of {photons:_} photons reached the paper {edges[np.argmin(rings)]:.3g} mm from the "
+                           f"beam; expected some: use photons={enough:_}, or leave out such pixels")  # fmt: skip
+        if last and lost > LOST * cuvette.error * light[1]:
+            raise BadInput(f"{lost:.2g} of the beam was given up in the cuvette of {sample.thickness:g} mm, "
+                           f"whose total light is {light[1]:.2g}; expected next to none: use thinner ones")  # fmt: skip
         found.append(_compared(value, error, light, variance, inner * slope))
     residual, slope = (np.concatenate(each, axis=-1) for each in zip(*found, strict=True))
     return residual, slope.T
@@ -199,8 +203,7 @@ def _judged(samples: Sequence[CuvetteSample], x: Floats, residual: Floats, slope
     worst, free = int(np.abs(residual).argmax()), 3 + sum(each.image is not None for each in samples)
     if abs(residual[worst]) > CONTRADICTED:
         raise BadInput(f"{names[worst]} is {abs(residual[worst]):.0f} standard deviations from what other readings "
-                       "mean; expected agreement: correct it or a dimension, give a larger error, or give full if the "
-                       "brightest pixels of an image are saturated below the greatest of its type")  # fmt: skip
+                       "mean; expected agreement: correct it or a dimension, or give a larger error")  # fmt: skip
     misfit = float(np.sqrt((residual**2).sum() / (residual.size - free)))
     sigma = np.sqrt(np.diag(np.linalg.pinv(slope.T @ slope))) * max(misfit, 1.0)
     rate, g = exp(x[0]), tanh(x[1])
@@ -226,7 +229,12 @@ def _readings(cuvette: Cuvette, sample: CuvetteSample) -> tuple[Floats, Floats, 
     edges = ring_edges(cuvette, reach * cuvette.pixel, RINGS)
     ring = np.digitize(away * cuvette.pixel, edges) - 1
     lit = (ring >= 0) & (ring < RINGS)
-    full = cuvette.full or (np.iinfo(image.dtype).max if image.dtype.kind in "ui" else np.inf)
+    if image.dtype.kind == "f" and not cuvette.full:
+        raise BadInput(f"{what} holds {image.dtype}; expected whole numbers, or full in [cuvette]: the gray level of a "
+                       "saturated pixel, which floats do not state")  # fmt: skip
+    full = min(
+        cuvette.full or np.inf, np.iinfo(image.dtype).max if image.dtype.kind in "ui" else np.inf, _top(image[lit])
+    )
     if (image[lit] >= full).mean() > HOT:
         raise BadInput(f"{what} is saturated outside the hole; expected gray levels below {full:g}: expose it for a "
                        "shorter time, or make the hole larger")  # fmt: skip
@@ -239,6 +247,13 @@ def _readings(cuvette: Cuvette, sample: CuvetteSample) -> tuple[Floats, Floats, 
     area = np.pi * np.diff(edges**2)  # photons are counted on whole rings
     value, own = np.append(shares, mean * area), np.append([0.0, 0.0], error * area)
     return value, np.hypot(own, cuvette.error * value), edges
+
+
+def _top(gray: np.ndarray) -> float:
+    """The greatest gray level if pixels pile up there, as at the last one of 12 bits in a file of 16; else infinity."""
+    level, count = np.unique(gray, return_counts=True)
+    piled = level.size > 1 and count[-1] > PILED * count[-BELOW:-1].max()
+    return float(level[-1]) if piled else inf
 
 
 def _from_middle(light: Floats, hole: float) -> tuple[Floats, float]:

@@ -16,8 +16,7 @@ from vamgpu.optics.march import march
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Index, Length, Place, Positive, measured
 
-MARGIN = 2
-"""Pixels by which the light is wider than the camera; its rim is then lit like its middle."""
+MARGIN = 2  # pixels by which the light is wider than the camera; its rim is then lit like its middle
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """Traced light of one angle: the range of beam offsets whose light crosses a voxel of the fixed frame.
 
-Along a row Y = const of the fixed frame, the rays' positions X(u) rise and fall where caustics fold the light. Each
-stretch between two folds is a branch, which is inverted separately and held constant at its ends. All light between two
-rays is then in one voxel or its neighbor, and a voxel on a caustic gets all of its light, however dense the rays.
+Positions X(u) along a row fold at caustics; each branch between folds is inverted alone, and held at its ends.
 """
 
 from __future__ import annotations

@@ -33,10 +33,7 @@ class Crossing(NamedTuple):
 
 
 class Rays(Protocol):
-    """Rays of one angle in order of their columns.
-
-    u: offsets of the columns [mm], ascending.  transmittance: power that reaches the resin.
-    """
+    """Rays of one angle in ascending order of their columns u [mm], with the power that reaches the resin."""
 
     @property
     def u(self) -> Floats: ...
@@ -44,8 +41,8 @@ class Rays(Protocol):
     @property
     def transmittance(self) -> Floats: ...
 
-    def cross(self, along: float) -> Crossing:
-        """Where the rays cross the row Y = ``along`` [mm], continued straight beyond the resin."""
+    def cross(self, along: Any) -> Crossing:
+        """Where the rays cross the row Y = ``along`` [mm], or rows (rows, 1), continued straight beyond the resin."""
         ...
 
 
@@ -61,7 +58,7 @@ class StraightRays:
     entry: Floats
     absorption: float
 
-    def cross(self, along: float) -> Crossing:
+    def cross(self, along: Any) -> Crossing:
         """See `Rays.cross`."""
         across = (self.p - along * self.sine) / self.cosine
         path = along * self.cosine - across * self.sine - self.entry if self.absorption > 0 else np.zeros_like(across)
@@ -79,8 +76,10 @@ class BentRays:
     path: Floats
     absorption: float
 
-    def cross(self, along: float) -> Crossing:
+    def cross(self, along: Any) -> Crossing:
         """See `Rays.cross`."""
+        if np.ndim(along):
+            return Crossing(*map(np.stack, zip(*map(self.cross, along.ravel().tolist()), strict=True)))
         step = np.clip((self.along < along).sum(axis=1) - 1, 0, self.along.shape[1] - 2)[:, None]
         x, y, path = (np.take_along_axis(a, step + [[0, 1]], axis=1) for a in (self.across, self.along, self.path))
         rise = np.maximum(y[:, 1] - y[:, 0], 1e-12)
@@ -99,7 +98,7 @@ class ShadedRays:
     inner: Rays
     rod: Occluded
 
-    def cross(self, along: float) -> Crossing:
+    def cross(self, along: Any) -> Crossing:
         """See `Rays.cross`."""
         rays, rod = self.inner.cross(along), self.rod
         sine = self._sine(rays.cosine, along)
@@ -108,7 +107,7 @@ class ShadedRays:
         behind = y * rays.cosine - x * sine > -np.sqrt(np.maximum(rod.radius**2 - beside**2, 0.0))
         return rays._replace(share=np.where((beside < rod.radius) & behind, rod.transmittance, 1.0) * rays.share)
 
-    def _sine(self, cosine: Floats, along: float) -> Floats:
+    def _sine(self, cosine: Floats, along: Any) -> Floats:
         """Signed sine of the rays' turn; the sign follows from their direction."""
         drift = self.inner.cross(along + 1e-3).across - self.inner.cross(along).across
         return -np.sign(drift) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))

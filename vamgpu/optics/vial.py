@@ -22,8 +22,7 @@ from vamgpu.schema.quantities import Absorption, Index, Thickness, VesselRadius
 
 # On the caustics outside the printable radius the density is unbounded; it is limited to this value there.
 LARGEST_DENSITY = 100.0
-PICTURE = 110
-"""Pixels along the side of the picture of a vial."""
+PICTURE = 110  # pixels along the side of the picture of a vial
 
 
 @dataclass(frozen=True)
@@ -137,22 +136,7 @@ class Vial(Container):
         )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """The ray through each point: the inverse of the ray map.
-
-        The density is the number of columns per mm across the chord, 1 / |p'(u) − t·d'(u)| at the signed length t along
-        it: converging rays grow denser downstream. Inside the printable radius, one ray passes through each point.
-        Outside it, two or three may meet; the one with the smallest |u| is returned, on the point's side of the axis.
-
-        Args:
-            across: Position X across the light [mm], (...,).
-            along: Position Y along the light [mm], (...,), broadcast with ``across``.
-
-        Returns:
-            Columns u [mm], (...,), and weights [1/mm], (...,), as for `Vessel`, both finite everywhere.
-
-        Raises:
-            BadInput: A coordinate is not finite.
-        """
+        # columns per mm across the chord, 1 / |p'(u) − t·d'(u)|; where rays meet, that of the smallest |u| counts
         columns, inside, x, y, spacing = self._columns(across, along)
         weight = np.zeros(inside.shape)
         (weight[inside],) = pointwise(self._weights, columns[inside], x, y, spacing)

@@ -1,7 +1,6 @@
 """The two domains of a web: wrapped about its roller, where light travels straight, and flat, where it is printed.
 
-In the wrapped domain, the axis is (0, 0) and light travels towards +y. A point of the curved film is (r·sinφ, −r·cosφ)
-with |φ| ≤ 90°; at both ends a straight run follows, towards +y. In the flat domain, a point is (l, rho).
+Wrapped: light towards +y, points (r·sinφ, −r·cosφ) with |φ| ≤ 90° about (0, 0), then straight runs. Flat: (l, rho).
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def pareto_chart(points: Sequence[Any]) -> str:
 
     def draw(*axes: Any) -> None:
         for axis, name, label, color in (
-            (axes[0], "window", "strict window", PART), (axes[1], "outside", "dose outside / inside", REST),
+            (axes[0], "window", "window", PART), (axes[1], "outside", "dose outside / inside", REST),
         ):  # fmt: skip
             axis.plot(table["seconds"], table[name], color=color, lw=1.6, marker="o", ms=4)
             axis.set(ylabel=label)

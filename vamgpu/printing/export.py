@@ -35,32 +35,16 @@ BLOCK = 1 << 25
 
 @dataclass(frozen=True)
 class Canvas:
-    """The image of a projector, and the position of the frames on it; the rest is black.
+    """The image of a projector, and the position of the frames on it; the rest is black. Raises `BadInput`."""
 
-    Args:
-        size: Columns and rows; None for those of the frames.
-        offset: Shift of the frames from the middle of the canvas: columns to the right, and rows upwards.
-        rotation: Rotation of the frames, counterclockwise [deg]. Quarter turns keep every level; others interpolate the
-            light (not the levels) linearly between neighboring pixels.
-        flip_r: Mirror the frames left to right, in addition to their own flip.
-        flip_z: Mirror the frames top to bottom, in addition to their own flip.
-        repeats: Number of times that the turn is shown.
-        dark: Black images before the first turn and after the last.
-        keystone: Columns and rows, from the canvas's left top, at which its corners are drawn: left top, right top,
-            right bottom, left bottom. The light between them follows by the homography, interpolated linearly.
-
-    Raises:
-        BadInput: A value is out of its range.
-    """
-
-    size: tuple[int, int] | None = None
-    offset: tuple[int, int] = (0, 0)
-    rotation: float = 0.0
-    flip_r: bool = False
-    flip_z: bool = False
-    repeats: int = 1
-    dark: tuple[int, int] = (0, 0)
-    keystone: tuple[tuple[float, float], ...] | None = None
+    size: tuple[int, int] | None = None  # columns and rows; None for those of the frames
+    offset: tuple[int, int] = (0, 0)  # shift from the middle: columns to the right, and rows upwards
+    rotation: float = 0.0  # counterclockwise [deg]; other than by quarter turns, light is interpolated
+    flip_r: bool = False  # left to right, in addition to their own flip
+    flip_z: bool = False  # top to bottom, likewise
+    repeats: int = 1  # times that the turn is shown
+    dark: tuple[int, int] = (0, 0)  # black images before and after
+    keystone: tuple[tuple[float, float], ...] | None = None  # left top, right top, right bottom, left bottom
 
     def __post_init__(self) -> None:
         if self.size is not None:

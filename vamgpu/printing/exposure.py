@@ -39,17 +39,12 @@ class ExposureTimes:
     lamp: float | None = None  # irradiance of the given lamp [mW/mm²], if the turns of a path need another
     enough_turns: int = 0  # if the given lamp is too dim for the turns of a path: the least number that it needs
 
-    def turns(self, speed: float = USUAL) -> float:
-        """Turns of a vial that the exposure takes."""
-        # speed [deg/s]
-        return self.seconds * speed / 360.0
-
     @property
     def turning(self) -> str:
         """The turns of the exposure, in words: those that are fixed, else those at the default speed."""
         if self.period is not None:
             return f"{counted(round(self.seconds / self.period), 'turn')} of {self.period:.4g} s"
-        return f"{counted(self.turns(), 'turn', '.3g')} at {USUAL:g} deg/s"
+        return f"{counted(self.seconds * USUAL / 360.0, 'turn', '.3g')} at {USUAL:g} deg/s"
 
     def along(self, travel: Travel) -> ExposureTimes:
         """The same dose in the turns of a path: with the irradiance that they need, or in the time that they take."""

@@ -1,10 +1,5 @@
-"""Frames whose pixels are chosen by the dose of all frames together.
-
-Rounding and error diffusion preserve the light of each pixel; but a voxel sums the light of all angles. 8-bit pixels
-are rounded first; then some move up or down by one level at a time. 1-bit patterns are first driven to their two
-levels, if possible (`TwoLevels`). Then the pixels of a few angles at a time are flipped. Both steps keep the changes
-that bring the dose nearer to a window. This is direct binary search (M. Analoui, J. P. Allebach, Proc. SPIE 1666 (1992)
-96), with dose in place of the eye and the voxels that miss the window as its measure.
+"""Frames whose pixels are chosen by the dose of all frames: direct binary search (M. Analoui, J. P. Allebach, Proc.
+SPIE 1666 (1992) 96), after rounding to 8 bits, or after `TwoLevels` for 1 bit.
 """
 
 from __future__ import annotations

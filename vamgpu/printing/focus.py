@@ -1,9 +1,6 @@
 """Frames for a focus that follows a roller: each column of a pattern is shown while the lens focuses on its film.
 
-The film's middle is at depth −√(r²−x²) from the roller's axis, against the light. The columns of a pattern are divided
-among one frame for each focus plane; these frames are shown one after another at each angle.
-
-Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", Fig. 4 and sections S4 and S14.
+Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", Fig. 4, S4 and S14.
 """
 
 from __future__ import annotations

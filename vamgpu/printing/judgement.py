@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cores import ahead, pool
+from vamgpu.backend.cores import ahead, beside
 from vamgpu.chemistry.oxygen import OxygenModel
 from vamgpu.geometry import centers
 from vamgpu.kernels.depth import NO_DEPTH
@@ -51,11 +51,16 @@ class Judgement:
     """A proved print, judged by more criteria than its strict window."""
 
     over_tolerance: ToleranceWindow  # W up to two voxels or pixels, on voxels half as wide or less
-    surface: SurfaceJudgement  # comparison of the print's surface with the mesh
+    compared: Callable[[], SurfaceJudgement] = field(repr=False)  # waits for the thread that compares the surfaces
     pixel: float  # width of the narrowest column in the resin [mm]; a voxel of the part if there are no rays
     deep: float  # distance from the surface beyond which wrong resin is a fault [mm]: two pixels
     off: Callable[[], ToleranceTable] = field(repr=False)  # computes the table of errors
     not_judged: tuple[str, ...] = ()  # what was not judged, one sentence each
+
+    @cached_property
+    def surface(self) -> SurfaceJudgement:
+        """Comparison of the print's surface with the mesh; meanwhile, `table` and pictures can be made."""
+        return self.compared()
 
     @cached_property
     def table(self) -> ToleranceTable:
@@ -92,10 +97,9 @@ def judged(proof: Proof) -> Judgement:
         slabs, depth = map(partial(_asked, proof), slabs), _where_asked(proof, depth)
     fine: list[Any] | None = [] if proof.independent and voxels <= WHOLE else None
     slabs = slabs if fine is None else _kept(slabs, fine)
-    with pool(1) as beside:  # the surface's search over the mesh needs no device
-        if proof.joined is not None:
-            beside.submit(nearest, proof.joined, 0.5 * A.grid.pitch)
-        found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius, reach=reach)
+    searched = beside(lambda: proof.joined and nearest(proof.joined, 0.5 * A.grid.pitch))  # for the surface
+    found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius, reach=reach)
+    searched()
 
     def off() -> ToleranceTable:
         light = proof.frames.irradiance(A.device)
@@ -109,7 +113,8 @@ def judged(proof: Proof) -> Judgement:
         missed.append("how oxygen diffuses at another exposure: latitudes scale the effective dose")
     deep = min(DEEP * pixel, float(found.distance[-1]))
     least, greatest = found.limits(deep)
-    return Judgement(found, _surface(proof, fine, pixel, (greatest, least)), pixel, deep, off, tuple(missed))
+    compared = _surface(proof, fine, pixel, (greatest, least))
+    return Judgement(found, compared, pixel, deep, off, tuple(missed))
 
 
 def _depth(proof: Proof, finer: int, reach: float) -> Depth:
@@ -122,21 +127,30 @@ def _depth(proof: Proof, finer: int, reach: float) -> Depth:
     return depth_of_target(part, grid.pitch / finer, grid.pitch, reach, proof.operator.device)
 
 
-def _surface(proof: Proof, slabs: list[Any] | None, pixel: float, between: tuple[float, float]) -> SurfaceJudgement:
-    grid = proof.operator.grid
+def _surface(
+    proof: Proof, slabs: list[Any] | None, pixel: float, between: tuple[float, float]
+) -> Callable[[], SurfaceJudgement]:
+    """The comparison of surfaces, begun in a thread if it needs no device."""
+    grid, thin, dose = proof.operator.grid, proof.unjudged, np.zeros(0)
     if slabs is None:
         dose, pitch = refined(proof.parts.dose.numpy(), grid.pitch, 0.5 * pixel)
         place = [-0.5 * (count - 1) * pitch for count in dose.shape]
     else:
-        dose = _joined([slab.dose for slab in slabs])
         place, pitch = [slabs[0].x[0], slabs[0].y[0], slabs[0].z[0]], slabs[0].pitch
-    at, thin = proof.scores.threshold, proof.unjudged
-    return judge_surface(dose, place, pitch, at, proof.target, grid, proof.joined, thin=thin,
-                         widest=2.0 * DEEP * pixel, between=between)  # fmt: skip
+
+    def compared() -> SurfaceJudgement:
+        values = dose if slabs is None else _joined([slab.dose for slab in slabs])
+        return judge_surface(values, place, pitch, proof.scores.threshold, proof.target, grid, proof.joined, thin=thin,
+                             widest=2.0 * DEEP * pixel, between=between)  # fmt: skip
+
+    # without a mesh, warnings are turned off meanwhile, for all threads
+    return compared if proof.joined is None else beside(compared)
 
 
 def _joined(slabs: list[np.ndarray]) -> np.ndarray:
     """Slabs along z as one volume [x, y, z]."""
+    if len(slabs) == 1:
+        return slabs[0]
     whole = np.empty((*slabs[0].shape[:2], sum(slab.shape[2] for slab in slabs)), slabs[0].dtype)
     some = [slice(first, first + _PLANES) for first in range(0, len(whole), _PLANES)]
     for _ in ahead(lambda x: np.concatenate([slab[x] for slab in slabs], axis=2, out=whole[x]), some):

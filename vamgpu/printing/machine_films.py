@@ -61,13 +61,8 @@ def export_for(
     machine: str, frames: Frames, folder: str | Path, name: str, *, rpm: float, canvas: Canvas = Canvas(),
     dark: tuple[float, float] | None = None, channel: str | None = None, overwrite: bool = False,
 ) -> tuple[Path, Path]:  # fmt: skip
-    """Write frames of evenly spaced angles as the files of one of `MACHINES`, and a card; returns both paths.
-
-    name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
-    seconds without light before the first turn of a film and after the last, by default 5 and 10, made whole turns: a
-    film that is played in a loop then begins at the same angle again. channel: the only one that is lit: "red", "green"
-    or "blue". Raises `BadInput` if the machine cannot show, turn or hold them, `StorageError`.
-    """
+    """Write frames as the files of one of `MACHINES`, and a card; both paths. Raises `BadInput`, `StorageError`."""
+    # dark: seconds without light before and after, made whole turns: a film in a loop then begins at the same angle
     if machine not in MACHINES:
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")
     kind, motion = MACHINES[machine], frames.motion

@@ -32,11 +32,9 @@ HALVES = 2
 
 
 class OxygenExposure(IndependentExposure):
-    """Effective dose of frames: light of traced rays, explicit diffusion and implicit reactions on fine voxels.
+    """Effective dose of frames: light of traced rays, explicit diffusion and implicit reactions on fine voxels."""
 
-    Resin goes on beyond the grid along axes without a face in air, as far as oxygen comes from; along the others, both
-    faces end it, as in the solver. The dose of other voxels is that of their light plus the interpolated difference.
-    """
+    # resin goes on beyond the grid, as far as oxygen comes from, along axes without a face in air
 
     def __init__(self, A: OxygenModel) -> None:
         super().__init__(A.operator)  # type: ignore[arg-type] - a Projection

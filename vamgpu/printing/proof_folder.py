@@ -24,7 +24,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.printing.pack import Solved
 from vamgpu.printing.proof import Proof
-from vamgpu.printing.surface import stray
+from vamgpu.printing.surface import NOTHING, stray
 from vamgpu.storage.folder import Entry, Folder
 from vamgpu.storage.reading import malformed
 from vamgpu.targets.target import Target
@@ -56,9 +56,7 @@ def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Pa
     details = {"saved": "proof", "proof": {name: _written(getattr(proof, name)) for name in FIELDS}}
     if "judgement" in proof.__dict__:
         details["judged"] = _judged(proof)
-        if proof.outer is not None and proof.outer_share >= 1.0 and proof.independent:
-            where, radius = proof.outer, proof.operator.grid.inscribed_radius
-            found = stray(proof.fine(), proof.solid_from, radius, where.place, 2.0 * where.width)
+        if proof.independent and (found := stray(proof)) is not NOTHING:
             arrays["stray_points"] = Entry(found.points.astype(np.float32), ("point", "axis"), "mm")
             arrays["stray_faces"] = Entry(found.faces.astype(np.uint32), ("face", "corner"))
     return save_frames(path, proof.frames, inputs=inputs, arrays=arrays, details=details, overwrite=overwrite).path

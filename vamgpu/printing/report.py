@@ -51,7 +51,7 @@ def report_bytes(proof: Proof) -> int:
 
 def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> Page:
     """The page of a proof."""
-    verdict = proof.verdict if judgement is None else verdict_of(proof, judgement)
+    given = judgement
     judgement = proof.judgement if judgement is None else judgement
     grid, device, scores = proof.operator.grid, proof.operator.device, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
@@ -60,32 +60,35 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
     papers = [*map(str, getattr(plan, "papers", ())), *MEASURES, *([VIAL] if proof.operator.vessel else [])]
     made, asked = versions(PACKAGES), _asked(proof, target)
     data, deviation = _drawn(proof, dose, target, asked, printed)
+    cards = [
+        Card("Printed part", SurfaceView(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
+        Card("Slices", Slices(), Legend(),
+             *(Images(cut, "trio upright") for cut in pictures.cuts(dose, asked, printed, scores.peak))),
+        Card("Dose inside and outside", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
+        *_oxygen(proof),
+        *_slice_by_slice(proof, plan),
+        *_light(proof),
+        *_corners(proof, plan),
+        *_pareto(plan),
+        Card("Numbers", Numbers(proof.lines()), wide=True),
+        Card("Set-up", Table(_setup(proof, plan))),
+        Card("Made with", Table([("device", f"{device.description} ({device.name})"), *made.items()])),
+        Card("Papers relied on", Papers(list(dict.fromkeys(papers))), wide=True),
+    ]  # fmt: skip
+    first = summary(proof, judgement)  # from here on, the page waits for the comparison of surfaces
+    verdict = proof.verdict if given is None else verdict_of(proof, judgement)
     return Page(
         "Print proof" if proof.off is None else f"Print proof on a machine with errors: {proof.off}",
         proof.name,
         verdict.sentence,
         proof.independent and verdict.prints,
         _tiles(proof),
-        [
-            Card("Printed part", SurfaceView(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
-            Card("Slices", Slices(), Legend(),
-                 *(Images(cut, "trio upright") for cut in pictures.cuts(dose, asked, printed, scores.peak))),
-            Card("Dose inside and outside", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
-            *_oxygen(proof),
-            *_slice_by_slice(proof, plan),
-            *_light(proof),
-            *_corners(proof, plan),
-            *_pareto(plan),
-            Card("Numbers", Numbers(proof.lines()), wide=True),
-            Card("Set-up", Table(_setup(proof, plan))),
-            Card("Made with", Table([("device", f"{device.description} ({device.name})"), *made.items()])),
-            Card("Papers relied on", Papers(list(dict.fromkeys(papers))), wide=True),
-        ],
+        cards,
         headline=headline(proof, judgement, verdict),
-        summary=summary(proof, judgement),
+        summary=first,
         remedies=verdict.remedies,
         data=data,
-    )  # fmt: skip
+    )
 
 
 def _oxygen(proof: Proof) -> Iterator[Card]:
@@ -164,15 +167,11 @@ def _drawn(
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
     expected = surface.iso_surface(target, 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
-    outer = surface.NOTHING
-    if proof.outer is not None and proof.outer_share >= 1.0:
-        slabs, radius = proof.fine() if proof.independent else (), proof.operator.grid.inscribed_radius
-        outer = surface.stray(slabs, proof.solid_from, radius, proof.outer.place, 2.0 * proof.outer.width)
     sheet = pictures.sheet(dose, asked, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
     slices = pictures.viewer(sheet, heights, int(np.argmax(proof.slices.in_voxels[sheet["slices"]])))
-    return surface.viewer(expected, printed, pitch, outer) | slices, pitch
+    return surface.viewer(expected, printed, pitch, surface.stray(proof)) | slices, pitch
 
 
 def _tiles(proof: Proof) -> list[Figure]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vamgpu.backend.cores import threads
+
+if TYPE_CHECKING:
+    from vamgpu.printing.proof import Proof
 
 LARGEST = 128
 """Fields with more voxels along an edge are first averaged in blocks."""
@@ -57,20 +60,22 @@ def iso_surface(field: np.ndarray, level: float, pitch: float) -> Surface:
     return Surface((points - middle) * (block * pitch), vertex_normals(points, faces), faces)
 
 
-def stray(slabs: Iterable[Any], level: float, radius: float, place: tuple[float, float, float], size: float) -> Surface:
-    """Resin beyond a radius that reaches a level, and a ball at the place of the greatest dose."""
-    # radius [mm]; place [mm]; size [mm]
+def stray(proof: Proof) -> Surface:
+    """Resin beyond the judged cylinder that prints, and a ball at its greatest dose; `NOTHING` if there is none."""
     from skimage.measure import marching_cubes
     from trimesh.creation import icosphere
 
+    if proof.outer is None or proof.outer_share < 1.0:
+        return NOTHING
+    radius, size = proof.operator.grid.inscribed_radius, 2.0 * proof.outer.width
     ball = icosphere(2, size)
-    found = [Surface(ball.vertices + np.array(place), ball.vertices / size, ball.faces)]
+    found = [Surface(ball.vertices + np.array(proof.outer.place), ball.vertices / size, ball.faces)]
     pooled: list[np.ndarray] = []
     width = corner = 0.0
-    for slab in slabs:
+    for slab in proof.fine() if proof.independent else ():
         width, corner = slab.pitch * ceil(len(slab.x) / LARGEST), float(slab.x[0])
         distance = np.hypot(slab.x[:, None], slab.y[None, :])
-        solid = (slab.dose.numpy() >= level) & ((distance > radius) & (distance <= slab.radius))[:, :, None]
+        solid = (slab.dose.numpy() >= proof.solid_from) & ((distance > radius) & (distance <= slab.radius))[:, :, None]
         cells = []
         for axis, places in enumerate((slab.x, slab.y, slab.z)):
             cell, first = np.unique(np.rint((places - corner) / width).astype(np.int64), return_index=True)

@@ -1,27 +1,26 @@
 """Sensitivity to errors: the same frames on a machine with an error, which grows until the first voxel is wrong.
 
-Each scenario is one exposure with the solver's type of operator and one property changed: half a projector evaluation.
-Its change in dose is added to the proved dose, voxel by voxel. The exposure time does not change: the threshold of the
-proof decides which voxels are wrong.
+The change in dose of the solver's type of operator is added to the proved dose, at the same threshold.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from math import nan
+from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.metrics.depth import LARGEST_REACH, padded_depth
 from vamgpu.metrics.histogram import above, extremes
 from vamgpu.metrics.parts import IN, OUT
 from vamgpu.metrics.scores import score
 from vamgpu.operators.compose import combine
-from vamgpu.operators.projection import Projection
+from vamgpu.operators.projection import Projection, prepared
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.scenarios import SCENARIOS, Scenario
 from vamgpu.targets.limits import NOWHERE, Limits
@@ -89,21 +88,20 @@ def tolerance_table(
     """Expose the same light on machines with small errors."""
     # light [angle, r, z]; fraction [x, y, z]; proved [x, y, z]; deep [mm]
     exact = _Nominal(A, light, fraction, proved, threshold, limits, deep)
+    asked = [(scenario, amount) for scenario in scenarios for amount in scenario.amounts]
     rows: list[ToleranceRow] = []
-    first: list[FirstWrong] = []
-    for scenario in scenarios:
-        known: dict[float, _Seen] = {}
-        for amount in scenario.amounts:
-            change = scenario.written(amount)
-            try:
-                known[amount] = exact.exposed(scenario, amount)
-            except BadInput as error:
-                rows.append(ToleranceRow(scenario.name, change, note=str(error)))
-            else:
-                rows.append(known[amount].row(scenario.name, change))
-        if known:
-            first += [_first_wrong(exact, scenario, sign, known) for sign in scenario.signs]
-    return ToleranceTable(exact.nominal.row("nominal", ""), tuple(rows), tuple(first), exact.exposures)
+    known: dict[str, dict[float, _Seen]] = {scenario.name: {} for scenario in scenarios}
+    for (scenario, amount), seen in zip(asked, exact.exposed(asked), strict=True):
+        change = scenario.written(amount)
+        if isinstance(seen, BadInput):
+            rows.append(ToleranceRow(scenario.name, change, note=str(seen)))
+        else:
+            known[scenario.name][amount] = seen
+            rows.append(seen.row(scenario.name, change))
+    searches = [(scenario, _first_wrong(exact, scenario, sign, known[scenario.name]))
+                for scenario in scenarios if known[scenario.name] for sign in scenario.signs]  # fmt: skip
+    first = _together(exact, searches)
+    return ToleranceTable(exact.nominal.row("nominal", ""), tuple(rows), first, exact.exposures)
 
 
 @dataclass(frozen=True)
@@ -153,15 +151,17 @@ class _Nominal:
         self.threshold, self.peak = scores.threshold, scores.peak or 1.0
         self.nominal = self._seen(self.dose, 1.0)
 
-    def exposed(self, scenario: Scenario, amount: float) -> _Seen:
-        """The light on a machine with an error of this amount. Raises `BadInput` if the error does not apply."""
-        if scenario.off is None:
-            return self._seen(self.dose, 1.0 + amount)
-        if not isinstance(self.A, Projection):
-            raise BadInput(f"{type(self.A).__name__} cannot be varied; only a plain Projection can")
-        dose = scenario.off(self.A, amount).T(self.light)
-        self.exposures += 1
-        return self._seen(dose if self._more is None else combine(1.0, dose, 1.0, self._more, dose), 1.0)
+    def exposed(self, asked: Sequence[tuple[Scenario, float]]) -> Iterator[_Seen | BadInput]:
+        """The light on machines with errors of these amounts, or why an error does not apply; threads make tables."""
+        for (_, amount), made in zip(asked, ahead(lambda one: _prepared(self.A, *one), asked), strict=True):
+            if made is None:
+                yield self._seen(self.dose, 1.0 + amount)
+            elif isinstance(made, BadInput):
+                yield made
+            else:
+                dose = made().T(self.light)
+                self.exposures += 1
+                yield self._seen(dose if self._more is None else combine(1.0, dose, 1.0, self._more, dose), 1.0)
 
     def _seen(self, dose: DeviceArray, times: float) -> _Seen:
         """Judge a dose that is exposed ``times`` as long, without a copy."""
@@ -180,6 +180,18 @@ class _Nominal:
         )
 
 
+def _prepared(A: Any, scenario: Scenario, amount: float) -> Callable[[], Projection] | BadInput | None:
+    """The projection of a machine with an error, or why the error does not apply; None if only the dose is scaled."""
+    if scenario.off is None:
+        return None
+    if not isinstance(A, Projection):
+        return BadInput(f"{type(A).__name__} cannot be varied; only a plain Projection can")
+    try:
+        return prepared(A, *scenario.off(A, amount))
+    except BadInput as error:
+        return error
+
+
 def _far_from_the_surface(field: DeviceArray, voxels: float, flat: bool) -> np.ndarray:
     """The fractions, with `NOWHERE` closer to the surface than ``voxels``; all fractions if no voxel is that deep."""
     reach, fraction = min(voxels * (1.0 - 1e-3), LARGEST_REACH - 3.0), field.numpy()
@@ -190,9 +202,27 @@ def _far_from_the_surface(field: DeviceArray, voxels: float, flat: bool) -> np.n
 
 Point = tuple[float, float]
 """An amount, and the margin of the print with it; below 0 if voxels are wrong."""
+Search = Generator[float, "_Seen | BadInput", FirstWrong]
+"""A search that asks for the effect of amounts."""
 
 
-def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[float, _Seen]) -> FirstWrong:
+def _together(exact: _Nominal, searches: Sequence[tuple[Scenario, Search]]) -> tuple[FirstWrong, ...]:
+    """Results of searches, which all wait for their next amounts together."""
+    found: dict[int, FirstWrong] = {}
+    answers: dict[int, Any] = dict.fromkeys(range(len(searches)))
+    while answers:
+        asked: dict[int, float] = {}
+        for number, answer in answers.items():
+            try:
+                asked[number] = searches[number][1].send(answer)
+            except StopIteration as end:
+                found[number] = end.value
+        seen = exact.exposed([(searches[number][0], amount) for number, amount in asked.items()])
+        answers = dict(zip(asked, seen, strict=True))
+    return tuple(found[number] for number in range(len(searches)))
+
+
+def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[float, _Seen]) -> Search:
     """The first amount of one sign at which a voxel is wrong."""
     farthest = sign * scenario.farthest
     if exact.nominal.missing + exact.nominal.excess:
@@ -201,14 +231,16 @@ def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[flo
         nearest = exact.nominal.least if sign < 0 else exact.nominal.greatest
         amount = exact.threshold / nearest - 1.0 if nearest > 0 else nan
     else:
-        amount, farthest = _closed_in(exact, scenario, farthest, known)
+        amount, farthest = yield from _closed_in(exact, farthest, known)
     if not abs(amount) <= scenario.farthest:
         text = f"none up to {scenario.written(farthest)}" if farthest else "not exposed"
         return FirstWrong(scenario.name, nan, farthest, text)
     return FirstWrong(scenario.name, amount, farthest, scenario.written(amount, 2))
 
 
-def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
+def _closed_in(
+    exact: _Nominal, farthest: float, known: dict[float, _Seen]
+) -> Generator[float, _Seen | BadInput, tuple[float, float]]:
     """The amount, interpolated between a good and a bad one, NaN if none is bad; and the greatest amount searched."""
     # If the next amount does not apply, this is the largest amount that was exposed, or 0 if there is none.
     good: list[Point] = [(0.0, exact.nominal.margin)]
@@ -217,16 +249,17 @@ def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict
         (good if known[amount].margin >= 0 else bad).append((amount, known[amount].margin))
         if bad:
             break
-    with suppress(BadInput):
-        for tried in range(REFINED + (not bad)):
-            amount = _crossing(good, bad, farthest) if bad or not tried else farthest
-            margin = exact.exposed(scenario, amount).margin
-            good, bad = ([*good, (amount, margin)], bad) if margin >= 0 else (good, [(amount, margin)])
-            if good[-1][0] == farthest:
-                return nan, farthest
-            crossing = _crossing(good, bad, farthest)
-            if abs(margin) < _CLOSE and crossing != farthest:
-                return crossing, farthest
+    for tried in range(REFINED + (not bad)):
+        amount = _crossing(good, bad, farthest) if bad or not tried else farthest
+        seen = yield amount
+        if isinstance(seen, BadInput):
+            break
+        good, bad = ([*good, (amount, seen.margin)], bad) if seen.margin >= 0 else (good, [(amount, seen.margin)])
+        if good[-1][0] == farthest:
+            return nan, farthest
+        crossing = _crossing(good, bad, farthest)
+        if abs(seen.margin) < _CLOSE and crossing != farthest:
+            return crossing, farthest
     return (_crossing(good, bad, farthest), farthest) if bad else (nan, good[-1][0])
 
 

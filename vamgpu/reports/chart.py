@@ -21,10 +21,8 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 QUICK: dict[str, Any] = {"method": 0, "quality": 20}
 """Settings of WebP: a slice has 140 kB, in a fifth of the time that 105 kB would take; as PNG it has 235 kB."""
-LARGEST = 16383
-"""Greatest number of rows or columns of an image in WebP."""
-WIDE, NARROW = 11.6, 7.2
-"""Widths [inch] of a chart in a card over both columns, and over one."""
+LARGEST = 16383  # greatest number of rows or columns of an image in WebP
+WIDE, NARROW = 11.6, 7.2  # widths [inch] of a chart in a card over both columns, and over one
 
 
 def svg(draw: Callable[..., None], width: float, height: float, **layout: Any) -> str:

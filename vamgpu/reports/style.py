@@ -19,8 +19,7 @@ HUES = (BLUE, ORANGE, GREEN, RED, "#7a4fb5", "#12939a", "#a0652c", "#c2559d", "#
 LIGHT, DOSE, GAP, SOLID = "inferno", "magma", "RdBu_r", "Greys"
 """Color maps of light, of dose, of signed differences, and of filled fractions."""
 
-LARGEST = 140_000
-"""Size of a full-color PNG above which it gets a palette [bytes]."""
+LARGEST = 140_000  # size of a full-color PNG above which it gets a palette [bytes]
 
 WIDTH = 10.0
 DPI = 110

@@ -31,11 +31,9 @@ if TYPE_CHECKING:
 PRIORITIES: dict[str, float] = {"print": 0.0, "gray": 10.0, "don't care": 20.0, "keep out": 30.0, "insert": 40.0}
 """Role → default priority where bodies overlap."""
 PRINTED = ("print", "gray")
-FREE = ("insert", "don't care")
-"""Roles without a required dose."""
+FREE = ("insert", "don't care")  # roles without a required dose
 _DOSED = ("gray", "keep out")
-MOST_DOSE = 10.0
-"""Greatest dose of a gray body: a greater one is probably not a share."""
+MOST_DOSE = 10.0  # greatest dose of a gray body: a greater one is probably not a share
 
 
 @dataclass(frozen=True)

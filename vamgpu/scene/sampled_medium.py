@@ -15,8 +15,7 @@ from vamgpu.scene.scene import RAYS, disc_of, resin_of, through
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place
 
-LIMITS = {"index": (1.0, 5.0), "absorption": (0.0, np.inf)}
-"""Least and greatest value of each array."""
+LIMITS = {"index": (1.0, 5.0), "absorption": (0.0, np.inf)}  # least and greatest value of each array
 
 
 @dataclass(frozen=True, eq=False)

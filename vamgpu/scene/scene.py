@@ -31,16 +31,11 @@ from vamgpu.targets.limits import Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import LARGEST, MARGIN, SMALLEST, Target, check_thickness
 
-MULTIPLE = 4
-"""Default grids have multiples of this many voxels along every axis."""
-HALF = 0.5
-"""Least filled share of a voxel that belongs to a body."""
-SMALL = 0.5
-"""Size [mm] below which a body's file is probably not in mm."""
-SHARES = 64.0
-"""Number of levels of a voxel's opaque share: rounding to them makes equal shares exactly equal."""
-RAYS = 3
-"""Rays of a pixel past inserts; fewer leave stripes if pixels and voxels have the same size."""
+MULTIPLE = 4  # default grids have multiples of this many voxels along every axis
+HALF = 0.5  # least filled share of a voxel that belongs to a body
+SMALL = 0.5  # size [mm] below which a body's file is probably not in mm
+SHARES = 64.0  # number of levels of a voxel's opaque share: rounding to them makes equal shares exactly equal
+RAYS = 3  # rays of a pixel past inserts; fewer leave stripes if pixels and voxels have the same size
 
 
 @dataclass(frozen=True, eq=False)

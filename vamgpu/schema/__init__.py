@@ -1,7 +1,6 @@
 """The components of the library and their fields: one definition for Python, job files, manifests and the list of keys.
 
-A component is a class whose constructor takes named fields. Their types state unit and bounds, its docstring the
-meaning. `registry` names the components. Modules are imported only when needed.
+A component is a class whose constructor takes named fields, typed by unit and bounds; `registry` names it.
 """
 
 from vamgpu.schema.noun import Field, check, fields_of

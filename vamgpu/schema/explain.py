@@ -21,8 +21,7 @@ from vamgpu.units import NAMES
 
 LEFT_OUT = "left out"
 NO_LIMIT = "no limit"
-FAR = 1e30
-"""Numbers of at least this size mean infinity; no device handles them."""
+FAR = 1e30  # numbers of at least this size mean infinity; no device handles them
 WORDS: dict[Any, str] = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
 
 

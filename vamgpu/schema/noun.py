@@ -14,8 +14,7 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.schema.quantities import Quantity, measured
 
-GIVEN = ("device",)
-"""Arguments that select the device, not the computation."""
+GIVEN = ("device",)  # arguments that select the device, not the computation
 MISSING: Any = inspect.Parameter.empty
 
 

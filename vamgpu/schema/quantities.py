@@ -1,7 +1,6 @@
 """Types of fields: the quantity that a number measures, and its allowed range.
 
-They work in dataclasses, whose constructors call `vamgpu.schema.check`, and in pydantic's models. ``Length`` is a float
-in mm in Python and ``"12.4 mm"`` in a file; Python may pass either one to a model.
+`vamgpu.schema.check` applies them in dataclasses, pydantic in models, where ``Length`` also reads ``"12.4 mm"``.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ from vamgpu.errors import BadInput
 from vamgpu.quantity import EXAMPLES, meant, parse, positive, unit_of
 from vamgpu.units import NAMES, dpt
 
-PLAIN = {"plain": True}
-"""Validation context for numbers without units, in mm, s, mJ and rad, as in manifests."""
+PLAIN = {"plain": True}  # validation context for numbers without units, in mm, s, mJ and rad, as in manifests
 
 
 @dataclass(frozen=True)
@@ -156,22 +154,18 @@ def numeric(
 
 
 Length = Annotated[float, Quantity("a length", above=0.0)]
-Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0), example="50 um")]
-"""The edge of a voxel."""
+Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0), example="50 um")]  # the edge of a voxel
 PixelPitch = Annotated[float, Quantity("a length", above=0.0, usual=(1e-4, 25.0), example="67 um")]
 VesselRadius = Annotated[float, Quantity("a length", above=0.0, usual=(0.05, 1000.0))]
 Thickness = Annotated[float, Quantity("a length", least=0.0)]
-Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]
-"""A length that may be infinite."""
+Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]  # A length that may be infinite
 Width = Annotated[Any, Quantity("a length", least=0.0, example="25 um")]
 """A length; constructors also take a calibration in its place."""
-Place = Annotated[float, Quantity("a length")]
-"""A length that may be negative."""
+Place = Annotated[float, Quantity("a length")]  # A length that may be negative
 Absorption = Annotated[float, Quantity("an absorption", least=0.0)]
 ScatteringCoefficient = Annotated[float, Quantity("a scattering coefficient", above=0.0)]
 Angle = Annotated[float, Quantity("an angle", above=0.0)]
-Turn = Annotated[float, Quantity("an angle")]
-"""An angle that may be negative."""
+Turn = Annotated[float, Quantity("an angle")]  # an angle that may be negative
 Step = Annotated[float, Quantity("an angle", above=0.0, most=pi, hint="half a turn or less")]
 Gain = Annotated[float, Quantity(least=1.0, hint="a gain of at least 1")]
 HalfTilt = Annotated[float, Quantity("an angle", above=-0.5 * pi, below=0.5 * pi)]
@@ -198,11 +192,9 @@ PauseTime = Annotated[float, Quantity("a time", least=0.0, example="30 s")]
 Age = Annotated[float, Quantity("a time", least=0.0, example="90 d")]
 Rate = Annotated[float, Quantity("a rate", above=0.0)]
 Density = Annotated[float, Quantity("a density", above=0.0)]
-DensityDifference = Annotated[float, Quantity("a density", example="20 kg/m3")]
-"""A density that may be negative."""
+DensityDifference = Annotated[float, Quantity("a density", example="20 kg/m3")]  # A density that may be negative
 Viscosity = Annotated[float, Quantity("a viscosity", above=0.0)]
-LensPower = Annotated[float, Quantity("a lens power", least=0.0, scale=dpt)]
-"""In diopters."""
+LensPower = Annotated[float, Quantity("a lens power", least=0.0, scale=dpt)]  # in diopters
 DataRate = Annotated[float, Quantity("a data rate", above=0.0, endless=True)]
 Diffusivity = Annotated[float, Quantity("a diffusivity", above=0.0)]
 Wavelength = Annotated[float, Quantity("a wavelength", above=0.0)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -21,8 +22,7 @@ from vamgpu.schema.registry import as_known, families_of, family, find, remedy
 from vamgpu.schema.section import Listed, Section
 from vamgpu.schema.write import ARRAY
 
-MOST_SHOWN = 200
-"""Number of characters shown of an invalid value."""
+MOST_SHOWN = 200  # number of characters shown of an invalid value
 
 
 EXPECTED = {
@@ -36,8 +36,7 @@ EXPECTED = {
 }
 """Type of pydantic's error → the expected value, in words of a file."""
 NOUN_WORD = "kind"
-NOUN = "noun"
-"""Stands for ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`."""
+NOUN = "noun"  # stands for ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`
 
 
 class Nouns:
@@ -231,6 +230,8 @@ class OneOrMany:
         one, many = (TypeAdapter(kind, config=Section.model_config) for kind in (self.one, self.many))
 
         def read(value: Any, info: Any) -> Any:
+            if self.form is str and isinstance(value, str) and re.fullmatch(r"[-+\d.e]+", value):
+                raise ValueError("expected a number without quotes: remove them")
             return (many if isinstance(value, self.form) else one).validate_python(value, context=info.context)
 
         return core_schema.with_info_plain_validator_function(read)
@@ -314,6 +315,8 @@ def complaint(entry: Any, remedy: str = "add it") -> str:
     got = "" if isinstance(entry["input"], (dict, BaseModel)) else f" got {_short(entry['input'])};"
     said = entry["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     said = EXPECTED.get(entry["type"], said)
+    if entry["type"] == "tuple_type" and isinstance(entry["input"], str):
+        said = f'a list in brackets: ["{entry["input"]}"]'
     if entry["type"] in ("tuple_type", "list_type") and isinstance(entry["input"], dict):
         said = f"tables, one or several: write [[{entry['loc'][-1]}]] in place of [{entry['loc'][-1]}]"
     return f":{got} {said if entry['type'] == 'value_error' else f'expected {said}; correct the value'}"

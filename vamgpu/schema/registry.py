@@ -13,8 +13,7 @@ from typing import Any
 
 from vamgpu.errors import BadInput
 
-NEAR = 0.7
-"""Smallest similarity (of `difflib`) at which a name is suggested for an unknown one."""
+NEAR = 0.7  # smallest similarity (of `difflib`) at which a name is suggested for an unknown one
 GROUP = "vamgpu.nouns"
 """Entry points of installed packages that register components: ``"vessel.toy" = "toys.vessels:Toy"``."""
 

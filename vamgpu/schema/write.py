@@ -13,10 +13,8 @@ from vamgpu.errors import BadInput
 from vamgpu.schema.noun import fields_of, given, quantity_in
 from vamgpu.schema.registry import family, name_of
 
-LONGEST = 100_000
-"""Largest number of values in a list of a manifest; longer lists belong in a file."""
-ARRAY = "array"
-"""The key that names an array stored beside a description."""
+LONGEST = 100_000  # largest number of values in a list of a manifest; longer lists belong in a file
+ARRAY = "array"  # the key that names an array stored beside a description
 
 
 def write(noun: Any, *, units: bool = False, arrays: dict[str, np.ndarray] | None = None) -> dict[str, Any]:

@@ -25,8 +25,7 @@ SHARD_CHUNKS = 512
 PIECE = 1 << 23
 """Bytes that a thread unpacks at a time: they are then still in the cache when they are hashed, and the system reuses
 the memory for the next part."""
-MOST_SHARD = 1 << 20
-"""Number of entries of a file above which its index would become too large."""
+MOST_SHARD = 1 << 20  # number of entries of a file above which its index would become too large
 
 
 def shard_length(shape: tuple[int, ...], itemsize: int) -> int:

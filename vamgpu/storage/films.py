@@ -17,8 +17,7 @@ from vamgpu.storage.reading import open_file
 FORMATS = {".mp4": "mov", ".mov": "mov", ".m4v": "mov", ".mkv": "matroska", ".webm": "matroska", ".avi": "avi"}
 """Ending → FFmpeg's format. Formats that refer to other files, such as playlists, are left out."""
 MOST_PIXELS = 1 << 26
-FULL_RANGE = 2
-"""FFmpeg's number for levels from 0 to 255; other ranges are 16 to 235."""
+FULL_RANGE = 2  # FFmpeg's number for levels from 0 to 255; other ranges are 16 to 235
 LOW, HIGH = 16, 235
 
 

@@ -21,10 +21,8 @@ from vamgpu.storage.manifest import ArrayRecord, Manifest
 from vamgpu.storage.reading import is_file, read_text
 
 VERSION = "0.5"
-SPACE = ("x", "y", "z", "row", "column")
-"""Names of an array's axes in space; other axes are counters."""
-FIRST = ("dose", "target", "frames")
-"""Arrays for a viewer that shows one image, the best first."""
+SPACE = ("x", "y", "z", "row", "column")  # names of an array's axes in space; other axes are counters
+FIRST = ("dose", "target", "frames")  # arrays for a viewer that shows one image, the best first
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,7 @@ def describe(folder: Path, images: Iterable[Image]) -> None:
 
 
 MANIFEST = "manifest.json"
-HEADER = "zarr.json"
-"""Zarr's file that describes an array; Zarr does not flush it to the disk."""
+HEADER = "zarr.json"  # zarr's file that describes an array; Zarr does not flush it to the disk
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,9 @@ from vamgpu.errors import StorageError
 from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 1 << 30
-MOST_PIXELS = 1 << 28
-"""Limit of pixels: larger cameras are not used on printers."""
+MOST_PIXELS = 1 << 28  # limit of pixels: larger cameras are not used on printers
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-UP = 2
-"""PNG's filter of differences from the row above: most rows of a slice are like the previous one."""
+UP = 2  # PNG's filter of differences from the row above: most rows of a slice are like the previous one
 
 
 def read_image(path: str | Path) -> np.ndarray:

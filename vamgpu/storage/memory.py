@@ -11,10 +11,8 @@ from vamgpu.quantity import bytes_of
 
 MEMORY = "VAMGPU_MEMORY"
 """Environment variable that replaces the budget: bytes, or a number with a unit, such as ``24 GB``."""
-SHARE = 0.5
-"""Default budget, as a share of this machine's memory; `MEMORY` overrides it."""
-UNKNOWN = 8_000_000_000
-"""Assumed memory [bytes] of a machine if the system does not report it."""
+SHARE = 0.5  # default budget, as a share of this machine's memory; `MEMORY` overrides it
+UNKNOWN = 8_000_000_000  # assumed memory [bytes] of a machine if the system does not report it
 GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 """Linux's file with the memory limit of a container."""
 

@@ -1,7 +1,6 @@
 """Pickles of arrays and plain values, read without executing anything that they name.
 
-A pickle is a program: `pickle.load` calls whatever it names. Here its classes become plain sets of attributes, and its
-arrays are assembled from their bytes; any other call is an error.
+Its classes become plain sets of attributes, its arrays are assembled from bytes; any other call is an error.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 16_000_000_000
-MOST_STEPS = 5_000_000
-"""Limit of a pickle's instructions; one of arrays has some hundreds."""
+MOST_STEPS = 5_000_000  # limit of a pickle's instructions; one of arrays has some hundreds
 NUMBERS = "biufc"
 ROOTS = ("numpy.core.multiarray", "numpy._core.multiarray")
 NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")

@@ -1,7 +1,6 @@
 """The only entry: every file that the library reads is opened here.
 
-Only regular files are opened; a pipe, a device or a folder in place of a file is an error, and reading never waits.
-Sizes are checked before anything is decoded, and depth and numbers of decoded data before they are used.
+Only regular files are opened, so that reading never waits; sizes and depths are checked before data are used.
 """
 
 from __future__ import annotations
@@ -23,16 +22,11 @@ from vamgpu.storage.memory import size
 
 MOST_TEXT = 64_000_000
 """Size of the largest text that is read whole [bytes]: the record of a web of 100 m has 20 million."""
-MOST_RECORD = 4_000_000_000
-"""Size of the largest record of a run [bytes]; a frame takes 56."""
-MOST_TOML = 2_000_000
-"""Size of the largest TOML file [bytes]: its parser is slow, and people write such files by hand."""
-MOST_PARTS = 64
-"""Parts of the longest dotted key, because the parser's time and memory grow with their square."""
-MOST_LEVELS = 64
-"""Greatest depth of nested tables and lists."""
-MOST_INTEGER = 1 << 63
-"""Limit of integers in TOML, and in most readers of JSON."""
+MOST_RECORD = 4_000_000_000  # size of the largest record of a run [bytes]; a frame takes 56
+MOST_TOML = 2_000_000  # size of the largest TOML file [bytes]: its parser is slow, and people write such files by hand
+MOST_PARTS = 64  # parts of the longest dotted key, because the parser's time and memory grow with their square
+MOST_LEVELS = 64  # greatest depth of nested tables and lists
+MOST_INTEGER = 1 << 63  # limit of integers in TOML, and in most readers of JSON
 KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe (FIFO)"),

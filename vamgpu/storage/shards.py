@@ -1,7 +1,6 @@
 """Files of many chunks, as Zarr's sharding codec lays them out, written and read by as many threads as there are cores.
 
-A file has its chunks, each compressed by Zstandard with a checksum, then the start and length of each, then the CRC-32C
-of that index. Chunks are entries of an array's first axis.
+Chunks, each compressed by Zstandard with a checksum, then the start and length of each, then the CRC-32C of these.
 """
 
 from __future__ import annotations
@@ -20,10 +19,8 @@ LEVEL = -1
 """Level of Zstandard. Below 1, literals are not entropy-coded: grainy frames take 7 % more space than at level 3, but
 are packed six times and unpacked three times as fast, and disks are faster than that."""
 ZSTANDARD = b"\x28\xb5\x2f\xfd"
-HEAD = 18
-"""Bytes of a Zstandard frame that always contain its header."""
-ABSENT = np.uint64(2**64 - 1)
-"""The index value of a missing entry."""
+HEAD = 18  # bytes of a Zstandard frame that always contain its header
+ABSENT = np.uint64(2**64 - 1)  # the index value of a missing entry
 
 
 def write_files(

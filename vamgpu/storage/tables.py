@@ -15,6 +15,7 @@ from vamgpu.quantity import RAISED
 from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 64_000_000
+NUMBER = re.compile(r"[-+]?[\d.,]+(?:e[-+]?\d+)?", re.IGNORECASE)
 UNITS = {
     "height": {"mm": 1.0, "um": 1e-3, "cm": 10.0},
     "exposure": {"mJ/mm2": 1.0, "mJ/cm2": 1e-2, "J/cm2": 10.0, "J/m2": 1e-3},
@@ -91,6 +92,9 @@ def read_table(path: str | Path) -> Table:
     header = [cell.strip() for cell in rows[0][1]]
     while len(header) > 1 and not header[-1]:
         header.pop()
+    if all(NUMBER.fullmatch(name) for name in header):
+        raise BadInput(f"{file.name} begins with the numbers {', '.join(header)}; expected a header above them: name "
+                       "each column, with its unit, such as time_s")  # fmt: skip
     twice = [name for name in header if header.count(name) > 1]
     if twice:
         raise BadInput(f"{file.name} has the column {twice[0]!r} more than once; keep one of them")

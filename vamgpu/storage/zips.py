@@ -11,13 +11,11 @@ from vamgpu.storage.memory import size
 
 MOST_DIRECTORY = 20_000_000
 """Size limit of a zip's list of members [bytes]; each takes about a hundred there, and a thousand in memory."""
-TAIL = 22 + 20 + 56 + (1 << 16)
-"""Bytes at the end of a zip that contain the description of its list."""
+TAIL = 22 + 20 + 56 + (1 << 16)  # bytes at the end of a zip that contain the description of its list
 DESCRIPTIONS = (re.compile(rb"(?s)PK\x05\x06.{8}(.{4})"), re.compile(rb"(?s)PK\x06\x06.{36}(.{8})"))
 """The description of the list, also for zips of more than 4 GB, and the size of the list in bytes."""
 
-LOCKED = 0x61
-"""Flags of members that are encrypted, or patches of others."""
+LOCKED = 0x61  # flags of members that are encrypted, or patches of others
 
 
 def open_zip(file: BinaryIO) -> ZipFile:

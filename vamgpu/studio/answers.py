@@ -17,10 +17,8 @@ from vamgpu.studio.requests import Nothing
 from vamgpu.studio.volumes import Arrays
 from vamgpu.studio.workspace import Refused
 
-SILENCE = 10.0
-"""Longest pause between two pieces of a body [s]."""
-SLOWEST = 30.0
-"""Longest time for a JSON body [s]."""
+SILENCE = 10.0  # longest pause between two pieces of a body [s]
+SLOWEST = 30.0  # longest time for a JSON body [s]
 THREADS = 16
 """Largest number of handlers at a time, in threads of their own; those of the print page's buttons stay free."""
 JSON = "application/json"

@@ -14,8 +14,7 @@ from vamgpu.studio.workspace import JOB, PROOF, RESULT, Refused, Workspace, kind
 
 ENDINGS = {"png": "-png", "tiff": ".tiff", "npz": ".npz", "mp4": ".mp4", "drtvam": "-drtvam"}
 """Format of an export → end of its name."""
-FOUND = ".orientations.json"
-"""End of the name of a file with orientations."""
+FOUND = ".orientations.json"  # end of the name of a file with orientations
 
 
 class Command:

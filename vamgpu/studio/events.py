@@ -12,8 +12,7 @@ from itertools import count
 from threading import Lock
 from typing import Any
 
-KEPT = 2000
-"""Largest number of events that a page may have missed."""
+KEPT = 2000  # largest number of events that a page may have missed
 PERIOD, SILENCE = 0.1, 15.0
 """Time between two polls for events, and time after which a comment keeps a connection open [s]."""
 

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam
 from vamgpu.jobs.web import WebFile
 from vamgpu.optics.roller import Roller
+from vamgpu.storage.reading import malformed
 from vamgpu.studio.tasks import POINTS
 from vamgpu.studio.workspace import Refused
 from vamgpu.webs.describe import wrap_from
@@ -37,7 +38,7 @@ def _section(roller: Roller, beam: Beam, planes: Any) -> dict[str, Any]:
 def described(folder: WebFolder) -> dict[str, Any]:
     """The machine, the segments and the frames of a folder. Raises `StorageError`."""
     details = folder.details
-    try:
+    with malformed(f"the web {folder.path.name!r} is malformed", "write it again"):
         roller, beam = wrap_from(details["wrap"]), details["beam"]
         focus, along = details["frames"]["focus"], float(details["grid"]["pitch"][0])
         planes = [] if focus is None else focus["planes"]
@@ -47,8 +48,6 @@ def described(folder: WebFolder) -> dict[str, Any]:
         parts = folder.segments[:: -(-len(folder.segments) // POINTS) or 1]
         segments = [{"frames": list(each.frames), "mm": [along * column for column in each.columns],
                      "loss": each.loss[1], "saturated": each.saturated} for each in parts]  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StorageError(f"the web {folder.path.name!r} lacks {error}; write it again") from error
     web = section | {"length": along * folder.columns, "speed": details.get("speed"), "window": along * window,
                      "complete": folder.complete, "segments": segments}  # fmt: skip
     return {"web": web, "frames": {"count": folder.frames, "rows": rows, "columns": columns, "bits": 8,

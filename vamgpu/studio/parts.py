@@ -18,22 +18,17 @@ from vamgpu.targets.mesh import parts_in, read_mesh
 from vamgpu.targets.role_names import role_in
 from vamgpu.targets.stl import read_stl
 
-MOST_BYTES = 1_000_000_000
-"""Largest file of a part [bytes]."""
-SHOWN = 120_000
-"""Largest number of triangles that the page draws, unless it asks for another one."""
-MOST_CELLS = 1 << 24
-"""Most cells of a clustering."""
+MOST_BYTES = 1_000_000_000  # largest file of a part [bytes]
+SHOWN = 120_000  # largest number of triangles that the page draws, unless it asks for another one
+MOST_CELLS = 1 << 24  # most cells of a clustering
 FEW, DIRECTIONS = 20_000, 1000
 """Most points for an exact hull, and directions that replace it for more points: 0.1 % of the size remain outside."""
-SMALL, LARGE = 1.0, 300.0
-"""Extents [mm] outside of which a file without a unit is probably not in mm."""
+SMALL, LARGE = 1.0, 300.0  # extents [mm] outside of which a file without a unit is probably not in mm
 OPEN = (
     "the surface has gaps: small ones are closed when the job is solved, larger ones are refused; close them in the CAD"
     " program"
 )
-SLAB = 1 << 16
-"""Triangles that are checked at a time."""
+SLAB = 1 << 16  # triangles that are checked at a time
 MIXES = np.random.default_rng(1).integers(1, 1 << 63, (2, 3), np.uint64) | np.uint64(1)
 """Odd factors that combine a corner's coordinates into one number."""
 UNITLESS = (".stl", ".obj", ".ply")

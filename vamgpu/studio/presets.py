@@ -14,8 +14,7 @@ from vamgpu.storage.reading import load_toml, parse_toml
 from vamgpu.studio.workspace import Refused
 
 FAMILIES = ("vials", "projectors", "resins")
-MOST = 500
-"""Own presets of a workspace."""
+MOST = 500  # own presets of a workspace
 
 
 class Presets:

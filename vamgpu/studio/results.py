@@ -22,8 +22,7 @@ from vamgpu.studio.volumes import Arrays, Volumes, png
 from vamgpu.studio.workspace import PROOF, RESULT, Refused, Workspace, record_of, stamp
 
 AXES = {"x": 0, "y": 1, "z": 2}
-SLAB = 1 << 22
-"""Voxels that are counted at a time."""
+SLAB = 1 << 22  # voxels that are counted at a time
 NO_PROOF = "has no proof yet; prove it first"
 
 

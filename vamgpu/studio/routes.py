@@ -33,8 +33,7 @@ CSP = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; worker-src 'self'; "
     "font-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-STREAMS = 50
-"""Pages that can listen at a time."""
+STREAMS = 50  # pages that can listen at a time
 
 
 def app(engine: Engine) -> Starlette:

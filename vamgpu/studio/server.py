@@ -22,8 +22,7 @@ from vamgpu.studio.texts import Texts
 from vamgpu.studio.workspace import Workspace
 
 log: logging.Logger = logging.getLogger(__name__)
-PERIOD = 0.5
-"""Time between two polls of the tasks and the folder [s]."""
+PERIOD = 0.5  # time between two polls of the tasks and the folder [s]
 LOCAL = ("127.0.0.1", "::1", "localhost")
 
 

@@ -26,14 +26,10 @@ from vamgpu.storage.reading import parse_json, read_text
 from vamgpu.studio.commands import Command, newest
 from vamgpu.studio.workspace import RESULT, Refused, Workspace
 
-POINTS = 500
-"""Largest number of points of a history."""
-PATIENCE = 10.0
-"""Time after which a second request to cancel kills a task [s]."""
-TAIL = 65536
-"""Bytes of a log that are shown."""
-MOST = 1000
-"""Largest number of tasks in the list."""
+POINTS = 500  # largest number of points of a history
+PATIENCE = 10.0  # time after which a second request to cancel kills a task [s]
+TAIL = 65536  # bytes of a log that are shown
+MOST = 1000  # largest number of tasks in the list
 ENDED = ("done", "failed", "cancelled")
 
 
@@ -277,8 +273,9 @@ class Tasks:
         """The progress of a task; that of another run in the same place does not count."""
         place = self._workspace.folder / (task.facts["place"] or task.id)
         progress = self._progress.setdefault(task.id, RunProgress(place))
-        if task.state not in ENDED or not progress.pid:
-            progress.read()
+        with self._lock:  # two readers at once would skip what one of them read
+            if task.state not in ENDED or not progress.pid:
+                progress.read()
         return progress if progress.pid == task.pid else RunProgress(place)
 
     def _changed(self, task: Task) -> None:

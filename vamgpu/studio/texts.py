@@ -27,8 +27,7 @@ from vamgpu.studio.parts import SHOWN, Drawn, Mesh, Part, drawn, drawn_bodies
 from vamgpu.studio.workspace import JOB, READERS, Refused, Workspace, kind_of_tables, stamp
 from vamgpu.targets import shapes
 
-MESHES = 4
-"""Parts whose meshes are kept in memory."""
+MESHES = 4  # parts whose meshes are kept in memory
 
 
 def etag_of(text: str) -> str:

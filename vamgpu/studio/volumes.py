@@ -16,8 +16,7 @@ from vamgpu.errors import BadInput
 from vamgpu.storage.folder import MANIFEST, Folder
 from vamgpu.studio.workspace import Stamp, stamp
 
-KEPT = 6
-"""Mapped arrays at a time."""
+KEPT = 6  # mapped arrays at a time
 
 
 class Volumes:

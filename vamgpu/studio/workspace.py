@@ -29,11 +29,9 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,79}")
 JOB, RESULT, PROOF = ".toml", ".vam", ".proof"
 READERS: dict[str, type[CheckedJob[Any]]] = {"vial": Job, "web": WebJob, "slices": CurethroughJob}
 """Kind of a job → what reads its file."""
-OWN = ".studio"
-"""Folder in the workspace for tasks, own presets and the lock."""
+OWN = ".studio"  # folder in the workspace for tasks, own presets and the lock
 TRASH = "trash"
-REMEMBERED = 500
-"""Files whose content is remembered."""
+REMEMBERED = 500  # files whose content is remembered
 Value = TypeVar("Value")
 Stamp = tuple[int, int, int]
 
@@ -79,10 +77,7 @@ class Remembered:
 
 
 class Workspace:
-    """One folder; all names in requests are resolved here. given: the folder, or what the page opens in it.
-
-    Raises `BadInput`, and `StorageError` if the folder cannot be used, or another Studio serves it.
-    """
+    """One folder, or what the page opens in it; resolves all names in requests. Raises `BadInput`, `StorageError`."""
 
     def __init__(self, given: Path) -> None:
         inside = given.suffix.lower() in (JOB, RESULT, *FORMATS)

@@ -15,10 +15,8 @@ from vamgpu.targets.shapes import csg
 
 CAPS = ("sphere", "hemisphere", "butt")
 MODES: dict[str, tuple[str, ...]] = {"clipping": ("none",), "ball": ("none", "mixed", "all")}
-FACET = 0.002
-"""Largest distance [mm] of facets from a round surface, unless that takes more than 64 sides."""
-WORK = 400_000
-"""Bytes of memory that a beam takes while all are joined."""
+FACET = 0.002  # largest distance [mm] of facets from a round surface, unless that takes more than 64 sides
+WORK = 400_000  # bytes of memory that a beam takes while all are joined
 REMEDY = "turn the lattice into triangles and export again"
 
 

@@ -10,11 +10,9 @@ import numpy.typing as npt
 from vamgpu.errors import BadInput
 from vamgpu.schema.quantities import numeric
 
-Circle = tuple[float, float, float]
-"""Center x, center y, radius."""
+Circle = tuple[float, float, float]  # center x, center y, radius
 
-_SLACK = 1e-12
-"""Relative tolerance of "inside": points on the rim count as covered despite rounding."""
+_SLACK = 1e-12  # relative tolerance of "inside": points on the rim count as covered despite rounding
 
 
 def smallest_enclosing_circle(points: npt.ArrayLike) -> Circle:

@@ -1,7 +1,6 @@
 """Test patterns of the papers: dots, bars, gray wedges and blocks of compartments, with exactly covered pixels.
 
-Slices are squares whose diagonal is the diameter of the curing volume. Sources: B. Wang et al., Lateral contrast
-enhancement via binary photoinhibition, Figs 9 to 11; the bars follow MIL-STD-150A.
+Slices are squares whose diagonal is the volume's diameter (B. Wang et al., Figs 9 to 11); bars follow MIL-STD-150A.
 """
 
 from __future__ import annotations
@@ -19,12 +18,9 @@ from vamgpu.targets.target import Target
 
 Plane = npt.NDArray[np.float64]
 
-DIAMETER = 30.0
-"""Diameter of the paper's curing volume [mm]."""
-PIXELS = 1500
-"""Pixels across the paper's designs."""
-_ASPECT = 5.0
-"""Ratio of length to width of a bar of a resolution target; three bars and two spaces make a square."""
+DIAMETER = 30.0  # diameter of the paper's curing volume [mm]
+PIXELS = 1500  # pixels across the paper's designs
+_ASPECT = 5.0  # ratio of length to width of a bar of a resolution target; three bars and two spaces make a square
 
 
 def covered(n: int, pitch: float, low: npt.ArrayLike, high: npt.ArrayLike) -> Plane:

@@ -14,12 +14,9 @@ from vamgpu.web import WebGrid
 
 Array = npt.NDArray[np.float64]
 
-SAMPLES = 4
-"""Cube root of the default number of sample points in a voxel that the surface may cross."""
-PLASTIC = 1.2207440846057596
-"""The root of x⁴ = x + 1: its powers spread points in three dimensions."""
-_POINTS = 1 << 19
-"""Number of points whose function values are in memory at a time."""
+SAMPLES = 4  # cube root of the default number of sample points in a voxel that the surface may cross
+PLASTIC = 1.2207440846057596  # the root of x⁴ = x + 1: its powers spread points in three dimensions
+_POINTS = 1 << 19  # number of points whose function values are in memory at a time
 
 
 @runtime_checkable

@@ -13,8 +13,7 @@ from vamgpu.errors import BadInput, ShapeMismatch
 
 Array = npt.NDArray[np.floating]
 
-NOWHERE = -1e15
-"""Target value of a voxel that is not judged: kernels that count classes ignore values below −1e12."""
+NOWHERE = -1e15  # target value of a voxel that is not judged: kernels that count classes ignore values below −1e12
 
 
 @dataclass(frozen=True)

@@ -37,15 +37,12 @@ with os.fdopen(out, "wb") as file:
     file.write(made)
 """
 """A process of its own, because damaged CAD models can end it. Triangles are within 2 µm of the surface."""
-PATIENCE = 300.0
-"""Seconds for a CAD model."""
+PATIENCE = 300.0  # seconds for a CAD model
 
 __all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh", "solid_of"]
 
-FORMATS = (".stl", ".ply", ".obj", ".3mf", ".step", ".stp")
-"""File formats that load_mesh reads."""
-EQUAL = 1e-8
-"""Distance [mm] below which corners of triangles are one vertex."""
+FORMATS = (".stl", ".ply", ".obj", ".3mf", ".step", ".stp")  # file formats that load_mesh reads
+EQUAL = 1e-8  # distance [mm] below which corners of triangles are one vertex
 WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2, "step": 60, "stp": 60}
 """Bytes of memory that reading and repairing take at most, per byte of the file; for 3MF, see threemf.py."""
 

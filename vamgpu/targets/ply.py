@@ -10,17 +10,14 @@ import numpy.typing as npt
 
 from vamgpu.errors import EmptyMesh, MeshError
 
-HEAD = 1 << 16
-"""Bytes that a header has at most."""
+HEAD = 1 << 16  # bytes that a header has at most
 TYPES = {
     "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H", "uint16": "H",
     "int": "i", "int32": "i", "uint": "I", "uint32": "I", "float": "f", "float32": "f", "double": "d", "float64": "d",
 }  # fmt: skip
 ORDERS = {b"ascii": "=", b"binary_little_endian": "<", b"binary_big_endian": ">"}
-CORNERS = ("vertex_indices", "vertex_index")
-"""Names of the list of a face's vertices."""
-Property = tuple[str, str, str]
-"""Name, type, and type of a list's length or nothing."""
+CORNERS = ("vertex_indices", "vertex_index")  # names of the list of a face's vertices
+Property = tuple[str, str, str]  # name, type, and type of a list's length or nothing
 Faces = npt.NDArray[np.int64]
 
 

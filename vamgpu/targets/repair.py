@@ -13,13 +13,10 @@ from vamgpu.targets.solid import Solid, unmatched_edges
 
 Faces = npt.NDArray[np.int32]
 Vertices = npt.NDArray[np.float64]
-Mended = tuple[Vertices, Faces, tuple[str, ...]]
-"""A surface after a step of the repair, and a description of that step."""
+Mended = tuple[Vertices, Faces, tuple[str, ...]]  # a surface after a step of the repair, and a description of that step
 
-_CRACK = 1e-5
-"""Open borders closer than this share of the box diagonal are sewn together."""
-_HOLE = 0.2
-"""Holes whose rim is shorter than this share of the box diagonal are filled, and those of 3 or 4 edges."""
+_CRACK = 1e-5  # open borders closer than this share of the box diagonal are sewn together
+_HOLE = 0.2  # holes whose rim is shorter than this share of the box diagonal are filled, and those of 3 or 4 edges
 
 
 def repaired(solid: Solid) -> Solid:

@@ -20,8 +20,7 @@ from vamgpu.web import WebGrid
 
 Array = npt.NDArray[np.float64]
 
-_STEPS = 30
-"""Greatest number of Newton steps from a length to its angle; a few suffice."""
+_STEPS = 30  # greatest number of Newton steps from a length to its angle; a few suffice
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from vamgpu.targets.solid import unmatched_edges
 
 Corners = npt.NDArray[np.float64]
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-HEAD = 84
-"""Bytes before the first triangle of a binary file; the last four count the triangles."""
+HEAD = 84  # bytes before the first triangle of a binary file; the last four count the triangles
 NAMES = re.compile(rb"(?m)^\s*(?:end)?solid\b[^\n]*?(?=\bfacet\b|$)")
 VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
 

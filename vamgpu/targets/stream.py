@@ -19,10 +19,8 @@ from vamgpu.targets.solid import Solid
 from vamgpu.targets.voxelize import voxelize
 from vamgpu.web import WebGrid
 
-_SLACK = 1e-6
-"""Tolerance, in voxels, within which a length counts as a whole number of them."""
-MOST_OVERLAPS = 1000
-"""Number of copies of a part that may overlap; more mean a period in the wrong unit."""
+_SLACK = 1e-6  # tolerance, in voxels, within which a length counts as a whole number of them
+MOST_OVERLAPS = 1000  # number of copies of a part that may overlap; more mean a period in the wrong unit
 
 
 @dataclass(frozen=True, eq=False)

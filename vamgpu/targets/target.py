@@ -32,12 +32,10 @@ if TYPE_CHECKING:
 
     from vamgpu.targets.limits import Limits
 
-MARGIN = 2
-"""Voxels between the part and the rim of the inscribed cylinder, by default."""
+MARGIN = 2  # voxels between the part and the rim of the inscribed cylinder, by default
 SMALLEST, LARGEST = 0.1, 1000.0
 """Limits of the longest edge [mm] of a part's box; outside of them its unit is probably wrong."""
-_MULTIPLE = 4
-"""Default grids have multiples of this many voxels along every axis."""
+_MULTIPLE = 4  # default grids have multiples of this many voxels along every axis
 _SLACK = 1e-6
 """Voxels by which a part may exceed the grid, because rounding errors of a length must not add a row of voxels."""
 
@@ -52,7 +50,7 @@ class Target:
         fraction: Filled share of each voxel, 0..1, [x, y, z]: on a device, or a NumPy array.
         radius: Largest distance from the axis [mm].
         volume: Filled volume [mm³].
-        height: Extent along z [mm].
+        height: Extent along z [mm]; twice the reach of a part that is not in the middle.
         solid: The surface that was voxelized, as placed for the print; None for a target from an array.
         limits: Limits of single voxels, from a `Scene`; None if all of the part must simply print.
     """

@@ -1,7 +1,6 @@
 """Read 3MF packages as slicers do: which objects are printed, where they are placed, and what is subtracted.
 
-The core, production and beam lattice extensions, and the volumes that PrusaSlicer and Bambu Studio (Orca) describe in
-addition.
+The core, production and beam lattice extensions, and the volumes of PrusaSlicer and Bambu Studio (Orca).
 """
 
 from __future__ import annotations
@@ -23,10 +22,8 @@ from vamgpu.storage.zips import open_zip, unpacked
 from vamgpu.targets.beam_lattice import BeamLattice
 from vamgpu.targets.shapes import csg
 
-WORK = 12
-"""Bytes of memory that reading takes, by byte of a model's text."""
-DENSEST, SMALL = 200, 1 << 24
-"""Largest compression of a model above `SMALL` bytes; meshes as text compress to a tenth."""
+WORK = 12  # bytes of memory that reading takes, by byte of a model's text
+DENSEST, SMALL = 200, 1 << 24  # largest compression of a model above `SMALL` bytes; meshes as text compress to a tenth
 DOCTYPES = (b"<!DOCTYPE", "<!DOCTYPE".encode("utf-16-le")[:-1])
 """Contents forbidden in a 3MF file (3MF core, 2.3): entities that multiply, and names of other files."""
 
@@ -70,15 +67,13 @@ _Element = Any  # of lxml, which has no types
 Array = npt.NDArray[np.float64]
 
 UNITS = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "inch": 25.4, "foot": 304.8, "meter": 1e3}
-PRINTED = ("model", "solidsupport")
-"""Types of objects that are printed; "support", "surface" and "other" are not."""
+PRINTED = ("model", "solidsupport")  # types of objects that are printed; "support", "surface" and "other" are not
 KNOWN = ("production/2015/06", "material/2015/02", "slice/2015/07", "core/2015/02", "trianglesets/2021/07",
          "beamlattice/2017/02", "beamlattice/balls/2020/07")  # fmt: skip
 """Ends of the namespaces of extensions that may be required: they are read, or do not change the solids."""
 MOST_INSTANCES, MOST_LEVELS = 10_000, 16
 """Largest number of meshes that a package may place, and of levels of components."""
-TRIANGLE = 300
-"""Bytes of memory that a triangle takes until it is repaired."""
+TRIANGLE = 300  # bytes of memory that a triangle takes until it is repaired
 PRUSA, BAMBU = "Metadata/Slic3r_PE_model.config", "Metadata/model_settings.config"
 CUT, LEFT_OUT = "cut", "left out"
 ROLES = {

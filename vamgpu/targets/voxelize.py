@@ -19,12 +19,9 @@ from vamgpu.targets.solid import Solid
 
 Integers = npt.NDArray[np.int64]
 
-_BITS = 10
-"""Fine units per voxel edge, as a power of two, if the solid is small enough."""
-_REACH = 20
-"""Largest extent in fine units, as a power of two: products of three extents then fit 63 bits."""
-_ROOM = 1 << 26
-"""Crossings in memory at a time, 256 MB; a part with more is processed in bands."""
+_BITS = 10  # fine units per voxel edge, as a power of two, if the solid is small enough
+_REACH = 20  # largest extent in fine units, as a power of two: products of three extents then fit 63 bits
+_ROOM = 1 << 26  # crossings in memory at a time, 256 MB; a part with more is processed in bands
 _TIE = 1e-6
 """Added before rounding to the fine grid; round lengths then never lie on a tie that rounding errors would decide."""
 

@@ -9,8 +9,7 @@ from math import ceil
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
-DENOMINATOR = 64
-"""Greatest number of angles after which windows begin at a whole column again."""
+DENOMINATOR = 64  # greatest number of angles after which windows begin at a whole column again
 
 
 @dataclass(frozen=True)

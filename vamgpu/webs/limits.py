@@ -21,8 +21,7 @@ from vamgpu.schema.quantities import Density, Length, Speed, Viscosity
 from vamgpu.units import kg_m3
 from vamgpu.webs.display import Display
 
-GRAVITY = 9806.65
-"""Standard acceleration of free fall [mm/s²]."""
+GRAVITY = 9806.65  # standard acceleration of free fall [mm/s²]
 
 
 @dataclass(frozen=True)
@@ -181,14 +180,9 @@ class WebLimits:
         return tuple(found)
 
     @property
-    def lit_way(self) -> float:
-        """Length [mm] of the film's path in the light: half a turn and both straight runs."""
-        return pi * self.roller.neutral_radius + 2.0 * self.roller.leg
-
-    @property
     def lit_time(self) -> float:
-        """Time [s] that a piece of the film is in the light."""
-        return self.lit_way / self.speed
+        """Time [s] that a piece of the film is in the light, on half a turn and both straight runs."""
+        return (pi * self.roller.neutral_radius + 2.0 * self.roller.leg) / self.speed
 
     @property
     def tolerable_flow(self) -> float:

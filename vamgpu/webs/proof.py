@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,12 +25,9 @@ from vamgpu.webs.section import lit_by
 from vamgpu.webs.store import WebFolder
 
 BINS = 2048
-REACH = 4.0
-"""Greatest counted dose, in units of the part's dose; greater ones count as this."""
-CHUNK = 1 << 20
-"""Number of voxels that a thread counts at a time."""
-LEVEL = 128
-"""Least fraction, times 255, of a voxel that belongs to the part."""
+REACH = 4.0  # greatest counted dose, in units of the part's dose; greater ones count as this
+CHUNK = 1 << 20  # number of voxels that a thread counts at a time
+LEVEL = 128  # least fraction, times 255, of a voxel that belongs to the part
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +186,14 @@ def prove_web(
     above = total[:, ::-1].cumsum(axis=1)[:, ::-1]
     best = int(np.argmax(above[1] / np.maximum(1, total[1].sum() + above[0])))
     at = best if threshold is None else int(np.clip(np.searchsorted(edges, threshold), 0, BINS - 1))
-    scores = tuple(
-        _score(folder, span, count, window, at) for span, count, window in zip(spans, counts, windows, strict=True)
-    )
+    scores: list[PieceScore] = []
+    for (number, columns), count, (strict, trimmed) in zip(spans, counts, windows, strict=True):
+        (_, missing, excess), record = _split(count, at), folder.segments[number]
+        scores.append(PieceScore(columns, _iou(count, at), strict, trimmed, missing, excess, record.loss[1],
+                                 record.saturated))  # fmt: skip
     return WebProof(
-        folder, simulation.grid, simulation.beam, simulation.light, scores, _iou(total, at), float(edges[at]), total,
-        edges, simulation.device, wrap, gain,
+        folder, simulation.grid, simulation.beam, simulation.light, tuple(scores), _iou(total, at), float(edges[at]),
+        total, edges, simulation.device, wrap, gain,
     )  # fmt: skip
 
 
@@ -219,15 +217,6 @@ def _split(counts: np.ndarray, at: int) -> tuple[int, int, int]:
 def _iou(counts: np.ndarray, at: int) -> float:
     right, missing, excess = _split(counts, at)
     return right / max(1, right + missing + excess)
-
-
-def _score(
-    folder: WebFolder, span: tuple[int, tuple[int, int]], counts: np.ndarray, windows: tuple[float, float], at: int
-) -> PieceScore:
-    number, columns = span
-    _, missing, excess = _split(counts, at)
-    record: Any = folder.segments[number]
-    return PieceScore(columns, _iou(counts, at), *windows, missing, excess, record.loss[1], record.saturated)
 
 
 def piece_windows(dose: np.ndarray, part: np.ndarray) -> tuple[float, float]:

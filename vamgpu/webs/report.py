@@ -18,8 +18,7 @@ from vamgpu.webs.describe import wrap_from
 if TYPE_CHECKING:
     from vamgpu.webs.proof import WebPart, WebProof
 
-SHOWN = 9.0
-"""Length [mm] of the piece of web that is shown in three dimensions."""
+SHOWN = 9.0  # length [mm] of the piece of web that is shown in three dimensions
 SLICES_NOTE = "Slices of the same piece across the web; l runs to the right, the outer face is at the top."
 WRAPPED_NOTE = "Light comes from below, refracts at the outer face, is absorbed in the film and ends at the roller."
 CONTRAST_NOTE = (

@@ -29,14 +29,11 @@ from vamgpu.operators.web import WebProjection
 from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import SegmentLayout
 
-LAST = "the light of the segment is its last"
-"""Its name in messages of divergence."""
-TOGETHER = 1 << 26
-"""Bytes of a field that the host makes at a time and uploads."""
+LAST = "the light of the segment is its last"  # its name in messages of divergence
+TOGETHER = 1 << 26  # bytes of a field that the host makes at a time and uploads
 STABLE = 4 / 3
 """Longest stable step of Nesterov's method, over the inverse of the loss's largest curvature, as momentum nears 1."""
-PACE = 5 / 6
-"""Ratio of the length of a step to the longest stable one."""
+PACE = 5 / 6  # ratio of the length of a step to the longest stable one
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,7 @@ from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.tiles import Columns
 from vamgpu.webs.window_solver import FixedFrames, WindowSolver
 
-QUANTILE = 0.9999
-"""Share of the first segment's lit pixels that a full-on mirror reaches."""
+QUANTILE = 0.9999  # share of the first segment's lit pixels that a full-on mirror reaches
 
 Progress = Callable[[int, int | None], None]
 """Called after each segment with the segments done and their total (None if it is unknown)."""

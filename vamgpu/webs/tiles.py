@@ -17,10 +17,8 @@ from vamgpu.web import WebGrid
 if TYPE_CHECKING:
     from vamgpu.targets.implicit import Implicit
 
-ALONG = 64
-"""Columns of a tile that is sampled from a function or a mesh."""
-_END = object()
-"""Mark of the end of the tiles; a tile that is None is an error, not an end."""
+ALONG = 64  # columns of a tile that is sampled from a function or a mesh
+_END = object()  # mark of the end of the tiles; a tile that is None is an error, not an end
 
 
 class Columns:

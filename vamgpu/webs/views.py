@@ -17,8 +17,7 @@ from vamgpu.web import Propagation, WebGrid
 if TYPE_CHECKING:
     from vamgpu.webs.proof import PieceScore, WebProof
 
-PIXELS = 2400
-"""Greatest number of pixels of a strip along the web."""
+PIXELS = 2400  # greatest number of pixels of a strip along the web
 
 
 class Strips:

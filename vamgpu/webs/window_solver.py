@@ -20,14 +20,10 @@ from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import SegmentLayout
 from vamgpu.webs.solver import SegmentLosses, Solver, Start
 
-FIRST = 1 / 3
-"""Share of the iterations that use two thresholds, before the window itself is maximized."""
-BRIGHTEST = 1e12
-"""A limit of light that no pixel reaches."""
-OUTSIDE = 0.78
-"""Greatest dose outside the part for the first light, in units of the part's dose."""
-SEEN = 1e-6
-"""A voxel counts if the angles still to be solved give it at least this share of its light."""
+FIRST = 1 / 3  # share of the iterations that use two thresholds, before the window itself is maximized
+BRIGHTEST = 1e12  # a limit of light that no pixel reaches
+OUTSIDE = 0.78  # greatest dose outside the part for the first light, in units of the part's dose
+SEEN = 1e-6  # a voxel counts if the angles still to be solved give it at least this share of its light
 
 
 @dataclass(frozen=True, eq=False)

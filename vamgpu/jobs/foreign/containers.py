@@ -16,12 +16,9 @@ from vamgpu.targets.mesh import load_mesh
 from vamgpu.targets.shapes import csg
 from vamgpu.targets.solid import Solid
 
-FACETS = 256
-"""Sides of a round wall: at a radius of 10 mm they are within a micrometer of the circle."""
-RIM = 3
-"""Voxels around a container that is not round, beyond its widest point."""
-MOST_ACROSS = 512
-"""Voxels across a container that is not round: more would take gigabytes for parts as high as wide."""
+FACETS = 256  # sides of a round wall: at a radius of 10 mm they are within a micrometer of the circle
+RIM = 3  # voxels around a container that is not round, beyond its widest point
+MOST_ACROSS = 512  # voxels across a container that is not round: more would take gigabytes for parts as high as wide
 NOT_ROUND = "its container turns with the resin: light is traced through its walls, without their reflections"
 
 Body = tuple[dict[str, Any], Solid]
@@ -29,10 +26,7 @@ Body = tuple[dict[str, Any], Solid]
 
 @dataclass(frozen=True)
 class Container:
-    """Tables of a job for a vial, bodies that stand in its resin, and notes on what is left out.
-
-    across, voxel: number of voxels along x and y, and their edge [mm], for a container that is not round.
-    """
+    """Tables of a job for a vial, bodies that stand in its resin, and notes on what is left out."""
 
     tables: dict[str, Any]
     bodies: tuple[Body, ...] = ()

@@ -1,8 +1,6 @@
 """Dr.TVAM (EPFL): a configuration in JSON, meshes beside it, patterns as an NPZ file or EXR images.
 
-Its frames have our orientation: row 0 is the largest z, column 0 the smallest r. Pattern k of n is shown with the
-projector at the angle 2πk/n, counterclockwise unless the configuration sets clockwise. Its lengths have no unit and are
-read as millimeters.
+Frames have our orientation; pattern k of n is lit at 2πk/n, backwards if clockwise. Lengths count as millimeters.
 """
 
 from __future__ import annotations
@@ -69,13 +67,11 @@ LEFT_OUT = {
     "psf_analysis": "light single pixels in Python",
 }  # fmt: skip
 """Keys that change a print and are not imported, and what to do."""
-OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic")
-"""Surfaces that no light passes."""
+OPAQUE = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic")  # surfaces that no light passes
 LOSSES = ("threshold", "l2")
 METHOD = ("loss", "optimizer", "n_steps", "progressive", "filter_radon", "filter_corner")
 """Keys of its method, which only a job that is to be solved would have."""
-ORIGIN = (0.0, 0.0, 0.0)
-"""Point of the part's frame that lies on the axis."""
+ORIGIN = (0.0, 0.0, 0.0)  # point of the part's frame that lies on the axis
 
 
 def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:

@@ -65,7 +65,10 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
     else:
         levels, remark = read_film(path)
     if layout.tvam_code:
-        levels = _of_tvam_code(levels, path)
+        if levels.shape[1:] not in (TVAM_CODE, TVAM_CODE[::-1]):
+            raise BadInput(f"{str(path)!r} has images of {levels.shape[1]} × {levels.shape[2]} pixels; expected 768 × "
+                           "1024 or 1024 × 768, as for TVAM-code: leave out --for")  # fmt: skip
+        levels = levels.transpose(0, 2, 1) if levels.shape[1:] == TVAM_CODE else levels  # rows along z
     elif '"settings"' in remark:
         return _ours(levels, remark, path)
     turn = levels.shape[0] if layout.angles is None else layout.angles
@@ -102,14 +105,6 @@ def _patterns(path: Path) -> np.ndarray:
         got = ", ".join(held) if found is None else f"patterns of shape {found.shape}"
         raise BadInput(f"{str(path)!r} holds {got or 'nothing'}; expected an array patterns [angle, row, column]")
     return found
-
-
-def _of_tvam_code(levels: np.ndarray, path: Path) -> np.ndarray:
-    """Images with rows along z. Raises `BadInput`."""
-    if levels.shape[1:] not in (TVAM_CODE, TVAM_CODE[::-1]):
-        raise BadInput(f"{str(path)!r} has images of {levels.shape[1]} × {levels.shape[2]} pixels; expected 768 × 1024 "
-                       "or 1024 × 768, as for TVAM-code: leave out --for")  # fmt: skip
-    return levels.transpose(0, 2, 1) if levels.shape[1:] == TVAM_CODE else levels
 
 
 def images_of(folder: Path) -> tuple[np.ndarray, str]:

@@ -1,7 +1,6 @@
 """VAMToolbox (Berkeley): sinograms and targets, pickled or saved as arrays, and presets (`PrintConfig`) in JSON.
 
-A sinogram is [r, angle, z] in degrees, a target [y, x, z]. r grows along x·cos a − y·sin a and light travels along
-x·sin a + y·cos a; in this library that is the angle θ = −(a + 90°). Lengths are in cm. Code in a pickle never runs.
+A sinogram is [r, angle, z] in degrees, a target [y, x, z], lengths are in cm; their angle a is our θ = −(a + 90°).
 """
 
 from __future__ import annotations

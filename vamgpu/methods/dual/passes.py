@@ -1,7 +1,5 @@
-"""Rules that compare a buildup with the design and project missing and excess dose: SC, SC2 and DC.
-
-Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Periodicity", Figs 6 and 8. The paper
-leaves scales open; comments mark each choice made here.
+"""Rules that project missing and excess dose: SC, SC2 and DC of B. Wang et al., Lateral contrast enhancement via binary
+photoinhibition, "Periodicity", Figs 6 and 8. Comments mark choices that the paper leaves open.
 """
 
 from __future__ import annotations

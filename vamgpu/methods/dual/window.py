@@ -35,21 +35,17 @@ PAIRS = 10
 
 @final
 class BothColors(Derived):
-    """Dose of two colors, the light of which follows each other: first the visible light of all angles, then the UV.
-
-    model: gives the dose of light of both colors and its derivatives.  units: light of the model for light of 1, of
-    each color.  top: dose of the model that counts as 1.  ``signs`` [angle, r, z] has −1 for light that subtracts dose.
-    """
+    """Dose of two colors, the light of which follows each other: first the visible light of all angles, then the UV."""
 
     def __init__(self, visible: Any, model: Any, units: tuple[float, float] = (1.0, 1.0), top: float = 1.0) -> None:
         inherit(self, visible)
-        self.model: Any = model
-        self.units: tuple[float, float] = units
-        self.top: float = top
+        self.model: Any = model  # gives the dose of light of both colors, and its derivatives
+        self.units: tuple[float, float] = units  # light of the model for light of 1, of each color
+        self.top: float = top  # dose of the model that counts as 1
         self.angles: int = visible.range.shape[0]
         self.motion: Turntable = Turntable(2 * self.angles)
         self._set_spaces(visible.domain, SinogramSpace(visible.beam, self.motion), visible.device)
-        self.signs: np.ndarray = np.ones(self.range.shape, np.float32)
+        self.signs: np.ndarray = np.ones(self.range.shape, np.float32)  # −1 for light that subtracts dose
         self.signs[self.angles :] = -1.0
 
     def __repr__(self) -> str:
@@ -81,13 +77,9 @@ class BothColors(Derived):
 
 
 class WindowLoss(Loss):
-    """b − a + Σ e² / (2·lack) for the best levels a and b; e is the dose below a or above 1 inside, above b outside.
+    """b − a + Σ e² / (2·lack) at the best levels; e: dose below a or above 1 in the part, above b outside, or 0."""
 
-    At these levels the part lacks ``lack`` in all, and voids leak as much, if b > 0. With a lack of 0, doses of least
-    loss have the widest window. Negative dose counts as 0. ``opposite`` is −1 times the last dose.
-    """
-
-    opposite: DeviceArray
+    opposite: DeviceArray  # −1 times the last dose
 
     def __init__(self, lack: float) -> None:
         self.lack: float = lack
@@ -108,11 +100,7 @@ class WindowLoss(Loss):
 
 
 def widened(run: OptimizerState, evaluations: int, relative: bool = True) -> Iterator[DeviceArray | None]:
-    """Widen the window of ``light`` in the memory by L-BFGS on `WindowLoss`, whose lack falls from round to round.
-
-    relative: whether windows are relative to the greatest dose, else to 1 or more.  Yields −1 times the dose of light
-    that is better than all before, else None.
-    """
+    """Widen the window of ``light`` by `WindowLoss`, whose lack falls; yields −1 times better light's dose, or None."""
     part = float(np.count_nonzero(run.evaluation_mask() * run.target.numpy() >= 0.5))
     if not part:
         raise EmptyMesh("no judged voxel is filled to half; use smaller voxels or thicker walls")

@@ -74,18 +74,7 @@ class ThroughKinetics(Rule):
             raise BadInput(f"most is {self.most:g}; expected an effective dose above 1, the end of the induction")
 
     def model(self, visible: Any, ultraviolet: Any, finer: bool = False) -> KineticModel:
-        """Make the model of both colors.
-
-        Args:
-            visible, ultraviolet: Operators of both colors.
-            finer: Four steps for every angle and a tenth of the floor, for proofs.
-
-        Returns:
-            The model.
-
-        Raises:
-            BadInput: An operator is not a `Projection`, or has too few angles.
-        """
+        """The model of both colors; ``finer``: four steps for every angle and a tenth of the floor, for proofs."""
         rates = Rates(self.k_a, self.k_b, self.k_c, self.k_2, supply=self.supply)
         resin = TwoColorResin.of(rates, visible, ultraviolet, floor=0.1 * FLOOR if finer else FLOOR)
         angles = visible.range.shape[0]

@@ -89,6 +89,13 @@ export const on = (event, listener) => {
 };
 export const tell = (event, detail) => heard.dispatchEvent(new CustomEvent(event, { detail }));
 
+const BUSY = ["queued", "running", "cancelling"];
+
+export const waits = (task) => BUSY.includes(task?.state);
+/** Whether a task of a kind, whose key has a value, waits or runs. */
+export const busy = (kind, key, value) => store.tasks.some((task) => task.kind === kind && task[key] === value && waits(task));
+export const started = (task) => send("POST", "tasks", task).then(reload.tasks);
+
 /** Reload a part of the store, and tell who listens. */
 export const reload = {
   async workspace() { store.workspace = await get("workspace"); tell("workspace"); },

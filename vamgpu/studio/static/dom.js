@@ -100,6 +100,32 @@ export const empty = (title, text, ...actions) =>
 /** Names and values in two columns. */
 export const facts = (pairs) => make("dl", { class: "facts" }, pairs.filter(Boolean).flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
 
+export const legend = (type, text) => make("span", {}, make("i", { class: type }), text);
+
+/** A table that scrolls sideways; all columns but the first are numbers, unless it has a class. */
+export const table = (name, given, heads, rows) => make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": name }, make("table", given,
+  heads.length ? make("thead", {}, make("tr", {}, heads.map((text, k) => make("th", { scope: "col", class: k && !given.class ? "n" : "" }, text)))) : null, make("tbody", {}, rows)));
+export const row = (name, ...values) => make("tr", {}, make("th", { scope: "row" }, name), values.map((value) => make("td", { class: "n" }, value)));
+
+/** Buttons of which one is pressed, from [value, text] pairs. */
+export function choice(name, all, now, change) {
+  const made = make("div", { class: "choice", role: "group", "aria-label": name }, all.map(([value, text]) => make("button", { type: "button", "aria-pressed": String(value === now), onclick: (event) => {
+    made.childNodes.forEach((each) => each.setAttribute("aria-pressed", String(each === event.currentTarget)));
+    change(value);
+  } }, text)));
+  return made;
+}
+
+/** Draw again, and give the focus and the caret back to the element of the same key. */
+export function keeping(redraw) {
+  const { dataset, selectionStart: caret } = document.activeElement || {}, key = dataset?.key;
+  redraw();
+  const again = key && document.querySelector(`[data-key="${CSS.escape(key)}"]`);
+  if (!again || again === document.activeElement) return;
+  again.focus();
+  if (caret !== null && caret !== undefined) again.setSelectionRange?.(caret, caret);
+}
+
 /** A labelled select of [value, text] pairs. */
 export function select(name, options, value, change, given = {}) {
   return make("label", { class: "field" }, make("span", {}, name),

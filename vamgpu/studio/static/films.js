@@ -1,10 +1,7 @@
 // Films on a roller and stacks of slices: the machine in section, frames with their focus planes, slices, and reports.
-import { get, path, reload, send, store, url } from "./api.js";
-import { button, card, draw, empty, facts, fixed, length, make, number, put, slider } from "./dom.js";
+import { busy, get, path, started, url } from "./api.js";
+import { button, card, draw, empty, facts, fixed, legend, length, make, number, put, row, slider, table } from "./dom.js";
 import { chosen, go } from "./main.js";
-
-const BUSY = ["queued", "running", "cancelling"];
-const legend = (type, text) => make("span", {}, make("i", { class: type }), text);
 
 /** Frames as a film: play, and move to one; with focus planes, also the columns that each of them shows. */
 export function reel(id, { count, rows, columns, bits, step }, planes = []) {
@@ -67,9 +64,6 @@ function report(title, address) {
   return made;
 }
 
-const started = (body) => send("POST", "tasks", body).then(reload.tasks);
-const busy = (kind, key, id) => store.tasks.some((task) => task.kind === kind && task[key] === id && BUSY.includes(task.state));
-
 /** A tab that reads its content, and reads it again when a task of the job or of the workspace ends. */
 class Read {
   constructor(root) {
@@ -121,8 +115,8 @@ export class WebLook extends Read {
     const prove = button(proving ? "Simulating …" : verdict ? "Simulate again" : "Simulate the print", () => started({ kind: "prove", result: id, device: null, tolerances: false }), { class: verdict ? "" : "primary", disabled: proving });
     const none = state === "interrupted" ? "Not complete: columns that all angles lit can be simulated" : "Not simulated yet";
     const film = frames.count ? reel(id, { ...frames, step: `${length(frames.step)} of film from one to the next` }, web.planes) : make("p", { class: "soft" }, "No segment is complete yet.");
-    const rows = web.segments.map((each, k) => make("tr", {}, make("th", { scope: "row" }, String(k + 1)), make("td", { class: "n" }, `${fixed(each.mm[0], 1)} to ${fixed(each.mm[1], 1)} mm`), make("td", { class: "n" }, `${each.frames[0]} to ${each.frames[1] - 1}`), make("td", { class: "n" }, number(each.loss)), make("td", { class: "n" }, number(each.saturated))));
-    const segments = make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Segments" }, make("table", { "aria-label": "Segments of the web" }, make("thead", {}, make("tr", {}, ["segment", "web", "frames", "loss", "pixels too dim"].map((text, k) => make("th", { scope: "col", class: k ? "n" : "" }, text)))), make("tbody", {}, rows)));
+    const rows = web.segments.map((each, k) => row(String(k + 1), `${fixed(each.mm[0], 1)} to ${fixed(each.mm[1], 1)} mm`, `${each.frames[0]} to ${each.frames[1] - 1}`, number(each.loss), number(each.saturated)));
+    const segments = table("Segments", { "aria-label": "Segments of the web" }, ["segment", "web", "frames", "loss", "pixels too dim"], rows);
     const parts = [judged(verdict, none, prove), make("div", { class: "cards" }, machine(web), make("div", { class: "stack" }, card("Frames", film), card("Segments", segments)), page && report("Report on the simulated web", page.replace(/^\//, "")))];
     return Object.assign(parts, { reel: frames.count ? film : null });
   }

@@ -1,6 +1,6 @@
 // Machine and resin: fields made from the schema, presets, and the job file beside them. Both edit the same file.
 import { reload, send, store } from "./api.js";
-import { button, card, empty, make, put, say, select } from "./dom.js";
+import { button, card, empty, keeping, make, put, say, select } from "./dom.js";
 import { chosen } from "./main.js";
 
 const ORDER = ["vial", "vat", "vessel", "resin", "beam", "turntable", "print", "target", "body", "method", "solve", "frames"];
@@ -61,13 +61,12 @@ export class JobTab {
   }
 
   fill() {
-    const file = chosen.file, held = document.activeElement?.dataset?.key, open = new Set([...this.form.querySelectorAll("details[open]")].map((each) => each.dataset.table));
+    const file = chosen.file, open = new Set([...this.form.querySelectorAll("details[open]")].map((each) => each.dataset.table));
     if (!this.timer && this.text.value !== file.text) this.text.value = file.text;
     put(this.status, file.errors.length ? `saved; ${file.errors.length} wrong ${file.errors.length > 1 ? "values" : "value"}` : "saved");
     this.faults.replaceChildren(...file.errors.map(({ field, line, message }) => make("li", {}, button(line ? `line ${line}` : field || "file", () => this.jump(line), { class: "quiet" }), make("span", { class: "error" }, message))));
     const tables = this.schema.tables.filter(({ name }) => file.fields[name] !== undefined || (!this.optional(name) && name !== "body")).sort((a, b) => rank(a.name) - rank(b.name));
-    this.form.replaceChildren(this.presets(), ...tables.map((table) => this.table(table, open)), this.adding());
-    if (held) this.form.querySelector(`[data-key="${CSS.escape(held)}"]`)?.focus();
+    keeping(() => this.form.replaceChildren(this.presets(), ...tables.map((table) => this.table(table, open)), this.adding()));
   }
 
   optional(name) {

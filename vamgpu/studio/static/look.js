@@ -1,13 +1,12 @@
 // Look: the verdict, slices with the exposure under a slider, the printed surface, the light, and errors of the machine.
-import { arrays, get, path, reload, send, store, url } from "./api.js";
+import { arrays, busy, get, path, started, url } from "./api.js";
 import { histogram } from "./charts.js";
-import { button, card, empty, fixed, length, make, number, percent, put, say, select, slider, time } from "./dom.js";
+import { button, card, choice, empty, fixed, legend, length, make, number, percent, put, row, say, slider, table, time } from "./dom.js";
 import { reel } from "./films.js";
 import { chosen, go } from "./main.js";
 import { SurfaceView } from "./scene.js";
 import { Slices, printed, tally } from "./slices.js";
 
-const BUSY = ["queued", "running", "cancelling"];
 const OFF = [["axis", "Axis, across the light", "µm", 0, 200, 5, "um"], ["spread", "Lens blur added (σ)", "µm", 0, 100, 5, "um"], ["absorption", "Absorption", "%", -30, 30, 1, "%"], ["dose", "Dose", "%", -30, 30, 1, "%"]];
 const signed = (value, digits = 0) => `${value > 0 ? "+" : ""}${fixed(value, digits)}`;
 
@@ -48,8 +47,8 @@ export class LookTab {
   }
 
   verdict() {
-    const { verdict, seconds, scores, report } = this.result, busy = store.tasks.some((task) => task.kind === "prove" && task.result === chosen.result.id && BUSY.includes(task.state));
-    const prove = (text, tolerances) => button(busy ? "Simulating …" : text, () => send("POST", "tasks", { kind: "prove", result: chosen.result.id, device: null, tolerances }).then(reload.tasks), { class: verdict ? "" : "primary", disabled: busy });
+    const { verdict, seconds, scores, report } = this.result, proving = busy("prove", "result", chosen.result.id);
+    const prove = (text, tolerances) => button(proving ? "Simulating …" : text, () => started({ kind: "prove", result: chosen.result.id, device: null, tolerances }), { class: verdict ? "" : "primary", disabled: proving });
     if (!verdict) return make("section", { class: "verdict none", "aria-label": "Verdict" }, make("p", { class: "head" }, "Not simulated yet"), make("p", {}, "The frames are there. The simulation traces its own rays through them, and says whether the part prints."), make("div", { class: "row" }, prove("Simulate the print", false)));
     const figure = (value, name) => make("div", {}, make("b", {}, value), make("span", {}, name));
     const changed = chosen.job?.state === "changed" ? make("p", { class: "note" }, "The job file was changed after this result: solve again to see the effect.") : null;
@@ -68,8 +67,7 @@ export class LookTab {
       event.target.value = "";
       if (!format) return;
       try {
-        await send("POST", "tasks", { kind: "export", result: chosen.result.id, format, canvas: null, fps: 30, overwrite: true });
-        await reload.tasks();
+        await started({ kind: "export", result: chosen.result.id, format, canvas: null, fps: 30, overwrite: true });
         say(`exporting ${chosen.result.id}; the queue under Solve shows where the files are`);
       } catch (error) { say(error.message, true); }
     } }, formats.map(([value, text]) => make("option", { value }, text)));
@@ -97,14 +95,9 @@ export class LookTab {
     this.where = make("span", { class: "soft" });
     this.live = make("p", { class: "live", "data-testid": "live" });
     this.exact = make("p", { class: "soft", role: "status", "data-testid": "exact" });
-    const axes = make("div", { class: "choice", role: "group", "aria-label": "Direction of the slice" }, ["z", "y", "x"].map((axis) => make("button", { type: "button", "aria-pressed": String(axis === "z"), onclick: () => {
-      axes.childNodes.forEach((each) => each.setAttribute("aria-pressed", String(each.textContent === `across ${axis}`)));
-      this.viewer?.set({ axis });
-      this.tell();
-    } }, `across ${axis}`)));
+    const axes = choice("Direction of the slice", ["z", "y", "x"].map((axis) => [axis, `across ${axis}`]), "z", (axis) => { this.viewer?.set({ axis }); this.tell(); });
     this.place = make("input", { type: "range", min: 0, max: 1, step: 0.002, value: 0.5, "aria-label": "Place of the slice", oninput: (event) => { this.viewer?.set({ slice: +event.target.value }); this.tell(); } });
     this.exposure = slider("Exposure", { min: 0.5, max: 1.5, step: 0.002, value: this.gain, say: (gain) => this.exposed(gain), input: (gain) => this.expose(gain) });
-    const legend = (type, text) => make("span", {}, make("i", { class: type }), text);
     const made = card("Slices", make("div", { class: "stack" }, make("div", { class: "row between" }, axes, make("div", { class: "legend" }, legend("solid", "printed"), legend("missing", "missing"), legend("excess", "excess"), legend("heat", "dose, to 1.5 × what prints"))),
       this.panes, make("div", { class: "captions" }, make("span", {}, "target"), make("span", {}, "dose, with the part’s outline"), make("span", {}, "prints")),
       make("label", { class: "slider" }, make("span", {}, "Slice"), this.place, this.where), this.exposure, make("div", { class: "row between" }, this.live, button("As designed", () => { this.exposure.set(1); this.expose(1); this.settle(); })), this.exact));
@@ -167,11 +160,7 @@ export class LookTab {
   surface() {
     this.solid = make("canvas", { class: "scene", tabindex: 0, role: "img", "aria-label": "Printed surface in three dimensions, colored by its deviation. Drag or use the arrow keys to turn, plus and minus to zoom." });
     this.mode = "deviation";
-    const modes = make("div", { class: "choice", role: "group", "aria-label": "Surface that is shown" }, [["deviation", "deviation"], ["printed", "printed"], ["target", "target"]].map(([key, text]) => make("button", { type: "button", "aria-pressed": String(key === this.mode), onclick: () => {
-      this.mode = key;
-      modes.childNodes.forEach((each) => each.setAttribute("aria-pressed", String(each.textContent === text)));
-      this.mesh();
-    } }, text)));
+    const modes = choice("Surface that is shown", ["deviation", "printed", "target"].map((mode) => [mode, mode]), this.mode, (mode) => { this.mode = mode; this.mesh(); });
     this.scale = make("div", { class: "scale" });
     const { outer } = this.result, [x, y, z] = outer?.place || [], spot = outer?.place ? `${number(Math.hypot(x, y))} mm from the axis at z = ${number(z)} mm` : "beside the part";
     const stray = outer?.share >= 1 ? make("p", { class: "error" }, `Stray resin: the dose ${spot} reaches ${percent(outer.share, 0)} of what prints.`) : outer ? make("p", { class: "soft" }, `Brightest resin away from the part: ${percent(outer.share, 0)} of the dose that prints, ${spot}.`) : null;
@@ -198,22 +187,21 @@ export class LookTab {
 
   doses() {
     this.plot = make("div", {}, make("p", { class: "soft" }, "loading …"));
-    const legend = (type, text) => make("span", {}, make("i", { class: type }), text);
     return card("Histogram of the dose", make("div", { class: "stack tight" }, this.plot, make("div", { class: "legend" }, legend("in", "inside the part"), legend("out", "outside"), legend("line", "solid from here on"))));
   }
 
   errors() {
     const rows = OFF.map(([key, name, unit, min, max, step]) => slider(name, { min, max, step, value: this.off[key], say: (value) => `${min < 0 ? signed(value) : fixed(value, 0)} ${unit}`, input: (value) => { this.off[key] = value; } }));
-    const tolerances = this.result.tolerances, first = tolerances?.first || [];
+    const tolerances = this.result.tolerances, first = tolerances?.first || [], [known, unknown] = [(row) => !row.note, (row) => row.note].map((each) => (tolerances?.rows || []).filter(each));
     return card("If the machine is off", make("div", { class: "stack" }, make("p", { class: "soft" }, "Set errors, and expose the same frames again with them."), make("div", { class: "stack sliders" }, rows), make("div", { class: "row" }, button("Expose with these errors", async () => {
       const off = Object.fromEntries(OFF.filter(([key]) => this.off[key]).map(([key, , , , , , unit]) => [key, `${this.off[key]} ${unit}`]));
       if (!Object.keys(off).length) return say("set an error first", true);
-      await send("POST", "tasks", { kind: "expose", result: chosen.result.id, device: null, off });
-      await reload.tasks();
+      await started({ kind: "expose", result: chosen.result.id, device: null, off });
       say("exposing again; the result appears here");
-    }, { class: "primary" }), tolerances ? null : button("Measure all tolerances", () => send("POST", "tasks", { kind: "prove", result: chosen.result.id, device: null, tolerances: true }).then(reload.tasks))),
-    tolerances ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Tolerances" }, make("table", { "aria-label": "Windows with one error at a time" }, make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "error"), make("th", { scope: "col", class: "n" }, "window"), make("th", { scope: "col", class: "n" }, "wrong voxels"))),
-      make("tbody", {}, tolerances.rows.map((row) => make("tr", {}, make("th", { scope: "row" }, `${row.name} ${row.change}`.replace("-", "−")), make("td", { class: "n" }, fixed(row.window, 3)), make("td", { class: "n" }, number(row.wrong))))))) : null,
+    }, { class: "primary" }), tolerances ? null : button("Measure all tolerances", () => started({ kind: "prove", result: chosen.result.id, device: null, tolerances: true }))),
+    known.length ? table("Tolerances", { "aria-label": "Windows with one error at a time" }, ["error", "window", "wrong voxels"],
+      known.map((each) => row(`${each.name} ${each.change}`.replace("-", "−"), fixed(each.window, 3), number(each.wrong)))) : null,
+    [...new Set(unknown.map(({ note }) => note))].map((note) => make("p", { class: "soft" }, `Not measured: ${[...new Set(unknown.filter((each) => each.note === note).map(({ name }) => name))].join(", ")} (${note}).`)),
     first.length ? make("h3", {}, "Errors that cause the first wrong voxel") : null, first.length ? make("ul", { class: "plain" }, first.map(({ name, text }) => make("li", {}, `${name}: ${text}`))) : null));
   }
 
@@ -233,7 +221,8 @@ export class LookTab {
   numbers() {
     const lines = this.result.lines || [];
     if (!lines.length) return make("div");
-    const made = card("All numbers", make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "All numbers" }, make("table", { class: "numbers", "aria-label": "Numbers of the result" }, make("tbody", {}, lines.map(({ name, value, meaning }) => make("tr", {}, make("th", { scope: "row" }, name), make("td", { class: "n" }, value.replace(/^-/, "−")), make("td", { class: "soft" }, meaning)))))));
+    const made = card("All numbers", table("All numbers", { class: "numbers", "aria-label": "Numbers of the result" }, [],
+      lines.map(({ name, value, meaning }) => make("tr", {}, make("th", { scope: "row" }, name), make("td", { class: "n" }, value.replace(/^-/, "−")), make("td", { class: "soft" }, meaning)))));
     made.classList.add("wide");
     return made;
   }

@@ -25,7 +25,7 @@ let open = null, turns = 0;
 
 /** Choose a part, job or result of the workspace, and a tab. */
 export function go(kind, id, tab = chosen.tab) {
-  location.hash = `#${kind}/${encodeURIComponent(id)}/${tab}`;
+  location.hash = `#${kind || "none"}/${encodeURIComponent(id || "")}/${tab}`;
 }
 
 function resolve() {
@@ -62,6 +62,8 @@ async function route() {
   at("menu").setAttribute("aria-expanded", "false");
   await show();
 }
+
+const seen = () => JSON.stringify([chosen.job?.state, chosen.job?.modified, chosen.job?.result, chosen.part?.modified, chosen.result?.modified, chosen.result?.state]);
 
 /** Show the chosen tab again. */
 export async function show() {
@@ -114,7 +116,7 @@ function side() {
     group("Jobs", jobs.map((job) => row("jobs", job.id, ...state(job))), "None yet. Choose a part, then make a job."),
     group("Parts", parts.map((part) => row("parts", part.id, "none", bytes(part.bytes))), "None yet. Drop an STL here."),
     others.length ? group("Job folders", others.map((each) => row("results", each.id, ...state(each)))) : "",
-    group("Prints", store.runs.slice(0, 6).map((run) => make("li", {}, make("button", { type: "button", title: run.name, onclick: () => { location.hash = `#${chosen.kind || "none"}/${encodeURIComponent(chosen.id || "")}/print`; } },
+    group("Prints", store.runs.slice(0, 6).map((run) => make("li", {}, make("button", { type: "button", title: run.name, onclick: () => go(chosen.kind, chosen.id, "print") },
       mark(run.running ? "busy" : run.state === "complete" ? "good" : "warn"), make("span", {}, run.name), make("small", {}, `${run.running ? "running" : run.state} · ${day(run.began)}`)))), "None yet."),
     trash ? make("p", { class: "none" }, `${trash} in the folder “trash” of the workspace`) : "",
   ].filter(Boolean));
@@ -144,7 +146,7 @@ function head() {
 function tabs() {
   const bar = at("tabs");
   bar.replaceChildren(...TABS.map(([key, text]) => make("button", { type: "button", role: "tab", id: `tab-${key}`, "aria-selected": String(key === chosen.tab), "aria-controls": "panel", tabindex: key === chosen.tab ? 0 : -1,
-    onclick: () => { location.hash = `#${chosen.kind || "none"}/${encodeURIComponent(chosen.id || "")}/${key}`; } }, text)));
+    onclick: () => go(chosen.kind, chosen.id, key) }, text)));
   at("panel").setAttribute("role", "tabpanel");
   bar.querySelector('[aria-selected="true"]').scrollIntoView({ block: "nearest", inline: "nearest" });
 }
@@ -155,7 +157,7 @@ at("tabs").addEventListener("keydown", (event) => {
   event.preventDefault();
   const [key] = TABS[(now + step + TABS.length) % TABS.length];
   addEventListener("hashchange", () => setTimeout(() => at(`tab-${key}`)?.focus(), 60), { once: true });
-  location.hash = `#${chosen.kind || "none"}/${encodeURIComponent(chosen.id || "")}/${key}`;
+  go(chosen.kind, chosen.id, key);
 });
 
 function choose() {
@@ -241,11 +243,11 @@ on("lost", (is) => {
   if (is) put(at("lost"), is !== true ? is : "The server of Studio does not answer. A running solve or print continues. This page tries again by itself; if that fails, start `vam studio` again.");
 });
 on("workspace", async () => {
-  const before = JSON.stringify([chosen.job?.state, chosen.job?.modified, chosen.job?.result, chosen.part?.modified, chosen.result?.modified, chosen.result?.state]);
+  const before = seen();
   resolve();
   side();
   head();
-  if (chosen.file && chosen.job && before !== JSON.stringify([chosen.job?.state, chosen.job?.modified, chosen.job?.result, chosen.part?.modified, chosen.result?.modified, chosen.result?.state])) {
+  if (chosen.file && chosen.job && before !== seen()) {
     const now = await get(`jobs/${path(chosen.job.id)}`).catch(() => null);
     if (now && now.etag !== chosen.file.etag) chosen.file.take(now);
   }

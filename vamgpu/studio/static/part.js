@@ -1,6 +1,6 @@
 // Part: the mesh in its vial, its size and orientation, its bodies, and how it should stand.
-import { arrays, get, path, reload, send, store } from "./api.js";
-import { button, card, empty, facts, fixed, length, make, number, put, say, select, time } from "./dom.js";
+import { arrays, get, path, reload, send, started, store, waits } from "./api.js";
+import { button, card, empty, facts, fixed, legend, length, make, number, put, row, say, select, time } from "./dom.js";
 import { meant } from "./job.js";
 import { chosen, free, go } from "./main.js";
 import { PartView, ROLES } from "./scene.js";
@@ -90,8 +90,7 @@ export class PartTab {
       this.view.place(IDENTITY, 1, center);
     }
     this.view.vessel(this.stage());
-    const line = (type, text) => make("span", {}, make("i", { class: type }), text);
-    this.caption.replaceChildren(...(this.scene ? [line("glass", "vial"), line("lit", "lit by the projector"), line("fits", "printable: lit at every angle"), line("beyond", "does not fit")] : [make("span", {}, "The part as drawn. Make a job to see it in a vial.")]));
+    this.caption.replaceChildren(...(this.scene ? [legend("glass", "vial"), legend("lit", "lit by the projector"), legend("fits", "printable: lit at every angle"), legend("beyond", "does not fit")] : [make("span", {}, "The part as drawn. Make a job to see it in a vial.")]));
   }
 
   stage() {
@@ -250,17 +249,16 @@ export class PartTab {
 
   stand() {
     if (!this.found) return;
-    const task = store.tasks.find((each) => each.kind === "orient" && each.job === chosen.job.id), busy = task && ["queued", "running", "cancelling"].includes(task.state);
-    const start = button(task ? "Compare again" : "Compare orientations", () => send("POST", "tasks", { kind: "orient", job: chosen.job.id, device: null, count: 20 }).then(reload.tasks), { disabled: busy });
+    const task = store.tasks.find((each) => each.kind === "orient" && each.job === chosen.job.id), busy = waits(task);
+    const start = button(task ? "Compare again" : "Compare orientations", () => started({ kind: "orient", job: chosen.job.id, device: null, count: 20 }), { disabled: busy });
     const parts = [];
     if (busy) parts.push(make("progress", { max: 1, value: task.progress?.share ?? 0, "aria-label": "Orientations compared" }),
       make("div", { class: "row between" }, make("span", { class: "soft" }, task.state === "queued" ? "waits in the queue" : `${task.progress?.said || "comparing"}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}`),
         button("Cancel", () => send("POST", `tasks/${path(task.id)}/cancel`))));
     else if (task?.state === "failed") parts.push(make("p", { class: "error" }, task.message));
     else if (task?.orientations) parts.push(make("table", { class: "stands", "aria-label": "Orientations, best first" }, make("thead", {}, make("tr", {}, ["tilt", "towards", "window", "time", "height"].map((text, k) => make("th", { class: k ? "n" : "", scope: "col" }, text)), make("th", {}))),
-      make("tbody", {}, task.orientations.map((each) => make("tr", {}, make("th", { scope: "row" }, `${fixed(each.tilt, 0)}°`), make("td", { class: "n" }, each.tilt ? `${fixed(each.azimuth, 0)}°` : "–"),
-        make("td", { class: "n" }, fixed(each.window, 3)), make("td", { class: "n" }, time(each.seconds)), make("td", { class: "n" }, length(each.height)),
-        make("td", { class: "n" }, each.fits ? button("Use", () => this.save(each.set, each.remove || []), { "aria-label": `Use tilt ${fixed(each.tilt, 0)}°` }) : make("span", { class: "error" }, "too large")))))));
+      make("tbody", {}, task.orientations.map((each) => row(`${fixed(each.tilt, 0)}°`, each.tilt ? `${fixed(each.azimuth, 0)}°` : "–", fixed(each.window, 3), time(each.seconds), length(each.height),
+        each.fits ? button("Use", () => this.save(each.set, each.remove || []), { "aria-label": `Use tilt ${fixed(each.tilt, 0)}°` }) : make("span", { class: "error" }, "too large"))))));
     if (!busy) parts.push(make("div", { class: "row" }, start));
     this.found.replaceChildren(make("div", { class: "stack tight" }, parts));
   }

@@ -1,10 +1,9 @@
 // Print: the rig and what it guarantees, the dry run, the start, the page of the print, and earlier prints.
-import { get, path, reload, send, store } from "./api.js";
-import { button, card, day, empty, make, percent, put, select, time } from "./dom.js";
+import { get, path, reload, send, started, store, waits } from "./api.js";
+import { button, card, day, empty, keeping, make, percent, put, select, table, time } from "./dom.js";
 import { chosen, go, mark } from "./main.js";
 
 const SURE = { guaranteed: "●", watched: "◐", believed: "○", "not there": "–" };
-const BUSY = ["queued", "running", "cancelling"];
 const ALIVE = ["starting", "printing", "paused", "held", "standby"];
 
 export class PrintTab {
@@ -29,9 +28,9 @@ export class PrintTab {
     const { result } = chosen, rigs = store.workspace.rigs.map(({ id }) => [id, id === "emulated" ? "emulated machines" : id]);
     if (!result) return this.begin.replaceChildren(empty("Nothing to print here", chosen.job ? "Solve the job first." : "Choose a job with a result at the left.", ...(chosen.job ? [button("To Solve", () => go("jobs", chosen.job.id, "solve"), { class: "primary" })] : [])));
     const own = store.tasks.filter(({ kind, result: of }) => ["rehearse", "print"].includes(kind) && of === result.id), dry = own.find(({ kind }) => kind === "rehearse"), print = own.find(({ kind }) => kind === "print");
-    const busy = own.some(({ state }) => BUSY.includes(state)), good = result.verdict?.prints, request = (extra) => ({ result: result.id, rig: this.rig, speed: this.speed.trim() || null, turns: this.turns.trim() ? +this.turns : null, live: this.live && this.camera === this.rig, ...extra });
+    const busy = own.some(waits), good = result.verdict?.prints, request = (extra) => ({ result: result.id, rig: this.rig, speed: this.speed.trim() || null, turns: this.turns.trim() ? +this.turns : null, live: this.live && this.camera === this.rig, ...extra });
     const field = (name, key, hint, id) => make("label", { class: "field" }, make("span", {}, name), make("input", { value: this[key], placeholder: hint, "data-key": id, onchange: (event) => { this[key] = event.target.value; } }));
-    const state = (task, text) => task && make("div", { class: "task" }, mark({ done: "good", failed: "bad", cancelled: "warn" }[task.state] || "busy"), make("span", {}, BUSY.includes(task.state) ? `${text}: ${task.progress?.said || task.state}${task.progress?.share ? `, ${percent(task.progress.share, 0)}` : ""}` : `${text}: ${/^report /.test(task.message) ? "done; its report is under Earlier prints" : task.message || task.state}`));
+    const state = (task, text) => task && make("div", { class: "task" }, mark({ done: "good", failed: "bad", cancelled: "warn" }[task.state] || "busy"), make("span", {}, waits(task) ? `${text}: ${task.progress?.said || task.state}${task.progress?.share ? `, ${percent(task.progress.share, 0)}` : ""}` : `${text}: ${/^report /.test(task.message) ? "done; its report is under Earlier prints" : task.message || task.state}`));
     const confirm = make("input", { "aria-label": `Type ${result.id} to confirm`, placeholder: result.id, autocomplete: "off", spellcheck: "false", "data-key": "confirm", value: this.confirmed || "", oninput: (event) => {
       this.confirmed = event.target.value;
       start.disabled = held();
@@ -40,7 +39,7 @@ export class PrintTab {
     const anyway = make("label", { class: "check", hidden: good }, make("input", { type: "checkbox", checked: this.anyway === result.id, "data-key": "anyway", onchange: (event) => {
       this.anyway = event.target.checked ? result.id : null;
       start.disabled = held();
-    } }), make("span", {}, "Print anyway, without knowing whether it prints"));
+    } }), make("span", {}, result.verdict ? "Print anyway, although it does not print in the simulation" : "Print anyway, without knowing whether it prints"));
     const start = button("Start the print", async () => {
       await send("POST", "tasks", { kind: "print", ...request({ anyway: !good, confirm: this.confirmed.trim() }) });
       this.confirmed = this.anyway = "";
@@ -51,7 +50,7 @@ export class PrintTab {
         make("div", { class: "halves" }, field("Speed", "speed", "from the rig file", "speed"), field("Turns", "turns", "from the dose", "turns")),
         this.camera === this.rig && make("label", { class: "check" }, make("input", { type: "checkbox", checked: this.live, "data-key": "live", onchange: (event) => { this.live = event.target.checked; } }), make("span", {}, "Watch with the camera, and replan the patterns after each turn")))),
       card("1 · Dry run", make("div", { class: "stack tight" }, make("p", { class: "soft" }, "Prints on emulated machines, without light, and delivers the dose to a simulated vial."), state(dry, "Dry run"),
-        make("div", { class: "row" }, button(dry ? "Repeat the dry run" : "Start the dry run", () => send("POST", "tasks", { kind: "rehearse", ...request({}) }).then(reload.tasks), { class: dry?.state === "done" ? "" : "primary", disabled: busy || !this.rig })))),
+        make("div", { class: "row" }, button(dry ? "Repeat the dry run" : "Start the dry run", () => started({ kind: "rehearse", ...request({}) }), { class: dry?.state === "done" ? "" : "primary", disabled: busy || !this.rig })))),
       card("2 · Print", make("div", { class: "stack tight" },
         result.verdict ? make("p", { class: good ? "note good" : "note bad" }, result.verdict.sentence) : make("p", { class: "note" }, "This result was not simulated: whether it prints is unknown."),
         state(print, "Print"), make("p", { class: "soft" }, this.emulated === this.rig ? "These are emulated machines: no light is switched on." : "The lamp will light the vial. Close the enclosure first."),
@@ -68,7 +67,7 @@ export class PrintTab {
       this.starting();
       const rows = now.guarantees.map((each) => make("tr", {}, make("th", { scope: "row" }, each.about), make("td", { class: `sure ${each.kind.replace(" ", "-")}` }, make("span", { "aria-hidden": "true" }, `${SURE[each.kind] || ""} `), each.kind), make("td", { class: "soft" }, each.remedy ? `${each.why}; ${each.remedy}` : each.why)));
       this.machine.replaceChildren(card(`Machine ${rig === "emulated" ? "(emulated)" : rig}: guaranteed, watched or believed`, now.refused ? make("p", { class: "note bad" }, now.refused) : null,
-        make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Guarantees" }, make("table", { class: "guarantees", "aria-label": "Guarantees of the machine" }, make("thead", {}, make("tr", {}, ["what", "how sure", "why"].map((text) => make("th", { scope: "col" }, text)))), make("tbody", {}, rows)))));
+        table("Guarantees", { class: "guarantees", "aria-label": "Guarantees of the machine" }, ["what", "how sure", "why"], rows)));
     } catch (error) {
       if (!this.closed) this.machine.replaceChildren(card(`Machine ${rig}`, make("p", { class: "note bad" }, error.message)));
     }
@@ -92,11 +91,10 @@ export class PrintTab {
   }
 
   update(event) {
-    const held = document.activeElement?.dataset?.key, caret = document.activeElement?.selectionStart;
-    if (event === "print") { this.show(); this.history(); }
-    if (["tasks", "task", "workspace"].includes(event)) this.starting();
-    const again = held && document.querySelector(`[data-key="${CSS.escape(held)}"]`);
-    if (again && again !== document.activeElement) { again.focus(); if (caret !== null && caret !== undefined) again.setSelectionRange?.(caret, caret); }
+    keeping(() => {
+      if (event === "print") { this.show(); this.history(); }
+      if (["tasks", "task", "workspace"].includes(event)) this.starting();
+    });
   }
 
   close() { this.closed = true; }

@@ -2,6 +2,7 @@
 import * as THREE from "./three.js";
 
 export const ROLES = { print: "#2f6db3", gray: "#7d8a99", "keep out": "#c2559d", "don't care": "#b7a14a", insert: "#12939a" };
+const PRINTS = ["print", "gray"]; // others may stand out of the light
 const BAD = "#d63a49", STRAY = "#f09620", GLASS = "#8fb4cf", LIGHT = "#7c4fd0";
 const DAY = { room: "#eef2f6", line: "#5a6677" }, DARK = { room: "#120000", line: "#ff8a70" };
 /** Color of a role; paler in the dark room, where only its brightness is seen. */
@@ -121,17 +122,18 @@ const tube = (radius, height, color, opacity, square = false) => {
   return made;
 };
 
-/** Material of a body: red where a point lies beyond the printable cylinder. */
-function fitted(color, limits) {
-  const made = new THREE.MeshStandardMaterial({ color, roughness: 0.75, metalness: 0, side: THREE.DoubleSide, flatShading: true });
+/** Material of a body with a role: red where a point that prints lies beyond the printable cylinder. */
+function fitted(role, limits) {
+  const made = new THREE.MeshStandardMaterial({ color: tint(role), roughness: 0.75, metalness: 0, side: THREE.DoubleSide, flatShading: true });
   made.onBeforeCompile = (shader) => {
-    Object.assign(shader.uniforms, limits);
+    Object.assign(shader.uniforms, limits, { prints: made.userData });
     shader.vertexShader = shader.vertexShader.replace("#include <common>", "#include <common>\nvarying vec3 place;")
       .replace("#include <begin_vertex>", "#include <begin_vertex>\nplace = (modelMatrix * vec4(position, 1.0)).xyz;");
     shader.fragmentShader = shader.fragmentShader
-      .replace("#include <common>", "#include <common>\nvarying vec3 place; uniform float reach; uniform float half_height; uniform vec3 beyond;")
-      .replace("#include <color_fragment>", "#include <color_fragment>\nif (length(place.xy) > reach || abs(place.z) > half_height) diffuseColor.rgb = beyond;");
+      .replace("#include <common>", "#include <common>\nvarying vec3 place; uniform float reach; uniform float half_height; uniform vec3 beyond; uniform bool prints;")
+      .replace("#include <color_fragment>", "#include <color_fragment>\nif (prints && (length(place.xy) > reach || abs(place.z) > half_height)) diffuseColor.rgb = beyond;");
   };
+  made.userData.value = PRINTS.includes(role);
   return made;
 }
 
@@ -178,7 +180,7 @@ export class PartView extends View {
     if (this.failed) return;
     this.part.clear();
     all.forEach((body, number) => {
-      const made = new THREE.Mesh(geometry(body), fitted(tint(body.role), this.limits));
+      const made = new THREE.Mesh(geometry(body), fitted(body.role, this.limits));
       made.userData.body = number;
       this.part.add(made);
     });
@@ -190,6 +192,7 @@ export class PartView extends View {
     const body = this.part?.children[number];
     if (!body) return;
     body.material.color.set(tint(role));
+    body.material.userData.value = PRINTS.includes(role);
     body.material.emissive.set(chosen ? "#223a55" : "#000000");
     this.draw();
   }

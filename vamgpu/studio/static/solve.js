@@ -1,11 +1,10 @@
 // Solve: start, the queue, what runs, and two results side by side.
-import { arrays, get, path, reload, send, store, text } from "./api.js";
+import { arrays, busy, get, path, reload, send, started, store, text, waits } from "./api.js";
 import { curves } from "./charts.js";
-import { button, card, day, empty, fixed, make, number, percent, put, select, time } from "./dom.js";
+import { button, card, day, empty, fixed, keeping, make, number, percent, put, row, select, table, time } from "./dom.js";
 import { chosen, go, mark } from "./main.js";
 import { Slices, heat } from "./slices.js";
 
-const BUSY = ["queued", "running", "cancelling"];
 export const KINDS = { solve: "Solve", model: "Model", prove: "Simulate", expose: "Expose with errors", orient: "Compare orientations", export: "Export", rehearse: "Dry run", print: "Print" };
 const STATES = { queued: ["none", "waits"], running: ["busy", "running"], cancelling: ["busy", "stopping"], done: ["good", "done"], failed: ["bad", "failed"], cancelled: ["warn", "cancelled"] };
 
@@ -42,15 +41,15 @@ export class SolveTab {
     const job = chosen.job, want = this.want;
     if (!job) return;
     const interrupted = job.state === "interrupted", invalid = chosen.file?.errors.length;
-    const busy = store.tasks.some((task) => task.job === job.id && BUSY.includes(task.state) && task.kind === "solve");
+    const solving = busy("solve", "job", job.id);
     const check = (name, text_) => make("label", { class: "check" }, make("input", { type: "checkbox", checked: want[name], onchange: (event) => { want[name] = event.target.checked; } }), make("span", {}, text_));
     const stack = job.kind === "slices", verb = stack ? "Correct" : "Solve";
-    const label = busy ? (stack ? "Correcting" : "Solving") : interrupted && !want.fresh ? "Continue" : job.state === "new" ? verb : `${verb} again`;
+    const label = solving ? (stack ? "Correcting" : "Solving") : interrupted && !want.fresh ? "Continue" : job.state === "new" ? verb : `${verb} again`;
     this.start.replaceChildren(card(stack ? "Correct these slices" : "Solve this job", make("div", { class: "stack tight" },
       select("Device", [["", store.devices.length ? "best one" : "searching for devices …"], ...store.devices.map(({ name, description }) => [name, description || name])], want.device, (value) => { want.device = value; }, { "data-key": "device" }),
       stack ? null : check("prove", "Simulate the print afterwards, for the verdict"), interrupted ? check("fresh", "Start from scratch instead of continuing") : null,
       invalid ? make("p", { class: "error" }, "The job has a wrong value: see Machine and resin.") : null,
-      button(label, () => send("POST", "tasks", { kind: "solve", job: job.id, device: want.device || null, prove: want.prove, fresh: want.fresh || ["changed", "solved", "proved"].includes(job.state), set: {} }).then(reload.tasks), { class: "primary", disabled: busy || Boolean(invalid) }))));
+      button(label, () => started({ kind: "solve", job: job.id, device: want.device || null, prove: want.prove, fresh: want.fresh || ["changed", "solved", "proved"].includes(job.state), set: {} }), { class: "primary", disabled: solving || Boolean(invalid) }))));
   }
 
   running() {
@@ -61,18 +60,18 @@ export class SolveTab {
       return;
     }
     if (this.shown !== task.id) this.frame(task);
-    const { progress, state } = task, busy = BUSY.includes(state), key = STATES[state] || ["none", state], solves = task.kind === "solve";
+    const { progress, state } = task, working = waits(task), key = STATES[state] || ["none", state], solves = task.kind === "solve";
     this.parts.title.replaceChildren(mark(key[0]), make("h2", {}, `${KINDS[task.kind]} · ${task.job || task.result}`), make("span", { class: "soft" }, key[1]));
-    const label = state === "queued" ? "Waits for the device" : busy ? progress?.said || "starting" : task.message || key[1];
+    const label = state === "queued" ? "Waits for the device" : working ? progress?.said || "starting" : task.message || key[1];
     put(this.parts.said, label[0].toUpperCase() + label.slice(1));
     this.parts.said.className = state === "failed" ? "error" : "stage";
-    this.parts.bar.hidden = !busy;
+    this.parts.bar.hidden = !working;
     if (progress?.share === null || progress?.share === undefined) this.parts.bar.removeAttribute("value"); else this.parts.bar.value = progress.share;
     this.parts.values.replaceChildren(...[
-      busy && ["time left", progress?.left === null || progress?.left === undefined ? "–" : time(progress.left)], ["time", time((task.ended || Date.now() / 1000) - (task.began || task.added))],
+      working && ["time left", progress?.left === null || progress?.left === undefined ? "–" : time(progress.left)], ["time", time((task.ended || Date.now() / 1000) - (task.began || task.added))],
       solves && ["evaluations", number(progress?.evaluations ?? null)], solves && ["window", progress?.window === null || progress?.window === undefined ? "–" : fixed(progress.window, 3)], solves && ["loss", number(progress?.loss ?? null)],
     ].filter(Boolean).map(([name, value]) => make("div", {}, make("dt", {}, name), make("dd", {}, value))));
-    this.buttons(task, busy);
+    this.buttons(task, working);
     const done = progress?.stages || [];
     this.parts.stages.replaceChildren(...done.map(({ said, seconds }) => make("li", {}, mark(seconds === null || seconds === undefined ? "busy" : "good"), make("span", {}, said), make("span", { class: "soft" }, time(seconds)))));
     this.parts.notes.replaceChildren(...[...(progress?.warnings || []).map((each) => make("p", { class: "note" }, each)), ...(progress?.notes || []).map((each) => make("p", { class: "soft" }, each))]);
@@ -89,14 +88,14 @@ export class SolveTab {
       make("div", { class: "pair" }, make("div", { class: "stack" }, task.kind === "solve" ? [make("h3", {}, "Window after each evaluation"), parts.curve] : null, make("h3", {}, "Stages"), parts.stages), this.figure), parts.notes, parts.log)));
   }
 
-  buttons(task, busy) {
+  buttons(task, working) {
     const key = `${task.id}${task.state}${task.resumable}`;
     if (this.pressed === key && this.parts.buttons.childElementCount) return;
     this.pressed = key;
     const act = (verb) => () => send("POST", `tasks/${path(task.id)}/${verb}`).then(reload.tasks);
     this.parts.buttons.replaceChildren(...[
-      busy && button(task.state === "cancelling" ? "Stopping; press after 10 s to end it at once" : task.kind === "solve" ? "Stop; keep the patterns so far" : "Stop", act("cancel"), { class: "stop" }),
-      !busy && task.resumable && button("Continue", act("resume"), { class: "primary" }),
+      working && button(task.state === "cancelling" ? "Stopping; press after 10 s to end it at once" : task.kind === "solve" ? "Stop; keep the patterns so far" : "Stop", act("cancel"), { class: "stop" }),
+      !working && task.resumable && button("Continue", act("resume"), { class: "primary" }),
       task.state === "done" && task.result && button("Show the result", () => go(chosen.kind, chosen.id, "look"), { class: "primary" }),
       button("Output", async () => {
         this.parts.log.hidden = !this.parts.log.hidden;
@@ -107,7 +106,7 @@ export class SolveTab {
 
   /** Reload curve and slice when the run has more of them. */
   async history(task) {
-    const { evaluations = 0, slices = 0 } = task.progress || {}, ended = !BUSY.includes(task.state);
+    const { evaluations = 0, slices = 0 } = task.progress || {}, ended = !waits(task);
     if (this.asking || (evaluations === this.evaluations && slices === this.slices && this.ended === ended)) return;
     this.asking = true;
     try {
@@ -135,9 +134,9 @@ export class SolveTab {
 
   list() {
     const rows = store.tasks.slice(0, 12).map((task) => {
-      const [sort, said] = STATES[task.state] || ["none", task.state], busy = BUSY.includes(task.state);
-      return make("li", {}, mark(sort), make("span", {}, `${KINDS[task.kind] || task.kind} · ${task.job || task.result}`), make("small", {}, busy ? `${said}${task.progress?.share ? ` · ${percent(task.progress.share, 0)}` : ""}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}` : [said, ...(task.kind === "export" ? task.made || [] : []), day(task.ended || task.added)].join(" · ")),
-        busy ? button("Stop", () => send("POST", `tasks/${path(task.id)}/cancel`).then(reload.tasks), { class: "quiet", "aria-label": `Stop ${KINDS[task.kind]} of ${task.job || task.result}` }) : button("Clear", () => send("DELETE", `tasks/${path(task.id)}`).then(reload.tasks), { class: "quiet", "aria-label": `Remove ${KINDS[task.kind]} of ${task.job || task.result} from the list` }));
+      const [sort, said] = STATES[task.state] || ["none", task.state], working = waits(task);
+      return make("li", {}, mark(sort), make("span", {}, `${KINDS[task.kind] || task.kind} · ${task.job || task.result}`), make("small", {}, working ? `${said}${task.progress?.share ? ` · ${percent(task.progress.share, 0)}` : ""}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}` : [said, ...(task.kind === "export" ? task.made || [] : []), day(task.ended || task.added)].join(" · ")),
+        working ? button("Stop", () => send("POST", `tasks/${path(task.id)}/cancel`).then(reload.tasks), { class: "quiet", "aria-label": `Stop ${KINDS[task.kind]} of ${task.job || task.result}` }) : button("Clear", () => send("DELETE", `tasks/${path(task.id)}`).then(reload.tasks), { class: "quiet", "aria-label": `Remove ${KINDS[task.kind]} of ${task.job || task.result} from the list` }));
     });
     this.queue.replaceChildren(card("Queue", rows.length ? make("ul", { class: "queue" }, rows) : make("p", { class: "soft" }, "Nothing ran yet. One task runs at a time on a device; others wait here.")));
   }
@@ -156,9 +155,8 @@ export class SolveTab {
     if (!b) return this.table.replaceChildren();
     try {
       const { rows, keys } = await get(`compare?a=${encodeURIComponent(a)}&b=${encodeURIComponent(b)}`);
-      const cells = (list, first) => list.map((each) => make("tr", {}, make("th", { scope: "row" }, each[first], each.meaning ? make("small", { class: "block" }, each.meaning) : null), make("td", { class: "n" }, String(each.a ?? "–")), make("td", { class: "n" }, String(each.b ?? "–"))));
-      const header = (what) => make("thead", {}, make("tr", {}, make("th", { scope: "col" }, what), make("th", { scope: "col", class: "n" }, a), make("th", { scope: "col", class: "n" }, b)));
-      this.table.replaceChildren(make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Results" }, make("table", { "aria-label": "Results of both" }, header("result"), make("tbody", {}, cells(rows, "name")))), keys.length ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Keys" }, make("table", { "aria-label": "Keys that differ" }, header("key that differs"), make("tbody", {}, cells(keys, "key")))) : make("p", { class: "soft" }, "Their job files have the same values."));
+      const cells = (list, first) => list.map((each) => row([each[first], each.meaning ? make("small", { class: "block" }, each.meaning) : null], String(each.a ?? "–"), String(each.b ?? "–")));
+      this.table.replaceChildren(table("Results", { "aria-label": "Results of both" }, ["result", a, b], cells(rows, "name")), keys.length ? table("Keys", { "aria-label": "Keys that differ" }, ["key that differs", a, b], cells(keys, "key")) : make("p", { class: "soft" }, "Their job files have the same values."));
       await this.differ(a, b);
     } catch (error) { this.table.replaceChildren(make("p", { class: "note bad" }, error.message)); }
   }
@@ -180,10 +178,10 @@ export class SolveTab {
 
   update(event) {
     if (!this.now) return;
-    const held = document.activeElement?.dataset?.key;
-    if (event === "task") { this.running(); this.list(); }
-    else if (["tasks", "devices", "job", "workspace"].includes(event)) { this.fill(); if (event === "workspace") this.comparing(); }
-    if (held && document.activeElement?.dataset?.key !== held) document.querySelector(`[data-key="${CSS.escape(held)}"]`)?.focus();
+    keeping(() => {
+      if (event === "task") { this.running(); this.list(); }
+      else if (["tasks", "devices", "job", "workspace"].includes(event)) { this.fill(); if (event === "workspace") this.comparing(); }
+    });
   }
 
   close() {

@@ -1,8 +1,6 @@
-"""Solids bounded by triply periodic minimal surfaces and their level sets.
+"""Solids bounded by triply periodic minimal surfaces, k = 2π/cell (Toombs et al., roll-to-roll printing, table S4).
 
-Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table S4, with k = 2π/cell. The
-sheet is |f| < c, written there as f² − c² < 0. Values are the function divided by the norm of its gradient: the
-distance [mm] to first order near the surface. Far away, only the sign is right.
+Values are f / |∇f|: the distance [mm] to first order near the surface; far away, only the sign is right.
 """
 
 from __future__ import annotations
@@ -20,10 +18,8 @@ from vamgpu.geometry import positive
 Array = npt.NDArray[np.float64]
 Sampled = tuple[Array, Array]
 
-STEEPEST = sqrt(3.0)
-"""The partial derivatives of all functions here are at most 1; no function rises faster than this."""
-_FLATTEST = 0.05
-"""Lower limit of the gradient by phase, at maxima and saddles of a function."""
+STEEPEST = sqrt(3.0)  # the partial derivatives of all functions here are at most 1; no function rises faster than this
+_FLATTEST = 0.05  # lower limit of the gradient by phase, at maxima and saddles of a function
 GYROID_PINCH = sqrt(2.0)
 DIAMOND_PINCH = sqrt(0.5)
 

@@ -1,7 +1,6 @@
 """Lattices of struts: true distances outside and inside one strut; inside a joint, at most the distance.
 
-Every lattice here is symmetric about the planes that bound its smallest region. The strut nearest to a point therefore
-belongs to the point's own region.
+Each is symmetric about the planes of its smallest region: the nearest strut belongs to the point's own region.
 """
 
 from __future__ import annotations

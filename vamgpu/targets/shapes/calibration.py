@@ -8,10 +8,8 @@ from manifold3d import CrossSection, OpType
 from vamgpu.targets.shapes.csg import to_solid
 from vamgpu.targets.solid import Solid
 
-SPOKES_PX = (1, 2, 3, 4, 5, 6, 7)
-"""Widths of the two spokes that hold each of the first seven half disks [pixels]."""
-GAPS_PX = (2, 3, 4, 5, 6, 7, 8)
-"""Widths of the gap behind which each of the other seven half disks floats [pixels]."""
+SPOKES_PX = (1, 2, 3, 4, 5, 6, 7)  # widths of the two spokes that hold each of the first seven half disks [pixels]
+GAPS_PX = (2, 3, 4, 5, 6, 7, 8)  # widths of the gap behind which each of the other seven half disks floats [pixels]
 
 _SEGMENTS = 256
 

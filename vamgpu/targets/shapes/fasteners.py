@@ -13,12 +13,9 @@ from manifold3d import CrossSection, Manifold
 from vamgpu.targets.shapes.csg import from_triangles, polygon, to_solid
 from vamgpu.targets.solid import Solid
 
-INCH = 25.4
-"""One inch [mm]."""
-MAJOR = 0.25 * INCH
-"""Major diameter of 1/4-20 UNC [mm]."""
-PITCH = INCH / 20.0
-"""Thread pitch of 1/4-20 UNC [mm]."""
+INCH = 25.4  # one inch [mm]
+MAJOR = 0.25 * INCH  # major diameter of 1/4-20 UNC [mm]
+PITCH = INCH / 20.0  # thread pitch of 1/4-20 UNC [mm]
 
 _AROUND = 72
 _PROFILE = np.array([(0.0, 0.0), (0.25, 0.0), (9 / 16, 1.0), (11 / 16, 1.0)])

@@ -13,14 +13,10 @@ from vamgpu.targets.shapes.csg import polygon, rod, to_solid
 from vamgpu.targets.solid import Solid
 
 TEETH = 14
-MODULE = 0.45
-"""Pitch diameter per tooth [mm]."""
-PRESSURE_ANGLE = np.radians(25.0)
-"""Wide enough for 14 teeth without undercut."""
-PIN_DIAMETER = 3.0
-"""Pins of the base [mm], as in the source."""
-CENTER_DISTANCE = TEETH * MODULE
-"""Distance between the two pins [mm]."""
+MODULE = 0.45  # pitch diameter per tooth [mm]
+PRESSURE_ANGLE = np.radians(25.0)  # wide enough for 14 teeth without undercut
+PIN_DIAMETER = 3.0  # pins of the base [mm], as in the source
+CENTER_DISTANCE = TEETH * MODULE  # distance between the two pins [mm]
 
 
 def gears(gap: float = 0.1, thickness: float = 3.0, apart: float = 0.4) -> Solid:

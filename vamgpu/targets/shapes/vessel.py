@@ -10,11 +10,9 @@ from vamgpu.targets.shapes.csg import box, from_triangles, polygon, rod, stroke,
 from vamgpu.targets.solid import Solid
 
 _LENGTH, _BEAM, _DEPTH = 12.6, 6.4, 3.6
-_DECK = 1.9
-"""Height of the well's floor above the keel."""
+_DECK = 1.9  # height of the well's floor above the keel
 _STATIONS, _LEVELS = 64, 24
-_HEIGHT = 11.5
-"""Height at which the boat is drawn [mm]; all other numbers here refer to it."""
+_HEIGHT = 11.5  # height at which the boat is drawn [mm]; all other numbers here refer to it
 _FLAG, _FLAG_TOP = (-5.75, 0.0), _DEPTH + 0.75
 _GLYPHS: dict[str, tuple[float, list[list[tuple[float, float]]]]] = {
     "V": (0.9, [[(0.0, 1.0), (0.45, 0.0), (0.9, 1.0)]]),
