@@ -69,9 +69,6 @@ class Entry:
 EXAMPLES = "those of its examples"
 ENTRIES = {
     "ours": Entry("vamgpu, default", "profiling.leaderboard.ours", "default"),
-    "ours-wide": Entry(
-        "vamgpu, wide ramp", "profiling.leaderboard.ours", "wide", "", "SurfaceRamp(outside=0.6, width=0.75)"
-    ),
     "ours-limited": Entry(
         "vamgpu, as soon as the fastest", "profiling.leaderboard.ours", "limited", "", "exposure_limit"
     ),

@@ -74,11 +74,11 @@ def judged(dose: np.ndarray, part: np.ndarray, grid: vam.Grid = GRID) -> tuple[f
 
 
 # ---- the loss --------------------------------------------------------------------------------------------------------
-def written_out(dose: float, depth: float, weight: float) -> float:
-    """Of one voxel, by its definition, with a width of 1."""
-    threshold = 0.7 + 0.2 * min(max(0.5 + 0.5 * depth, 0.0), 1.0)
+def written_out(dose: float, depth: float, weight: float, half: float = 0.1) -> float:
+    """Of one voxel, by its definition, with a width of 1 and half a step between the thresholds."""
+    threshold = 0.8 + half * min(max(depth, -1.0), 1.0)
     if depth >= 0.0:
-        return 0.5 * weight * (max(0.0, threshold - dose) ** 2 + max(0.0, dose - 1.05) ** 2)
+        return 0.5 * weight * (max(0.0, threshold - dose) ** 2 + max(0.0, dose - 0.95 - half) ** 2)
     return 0.5 * weight * max(0.0, dose - threshold) ** 2
 
 
@@ -101,6 +101,27 @@ def test_the_loss_is_its_formula_and_its_gradient_that_of_differences(device: An
     x = np.arange(6) - 2.5
     far = np.hypot(x[:, None], x[None, :]) > 2.0
     assert (held.numpy()[far] == 0.0).all() and np.array_equal(held.numpy()[~far], out.numpy()[~far])
+
+
+@pytest.mark.parametrize(("price", "step"), [(0.01, 0.1), (1.6, None), (50.0, 0.25)])
+def test_the_step_grows_to_that_of_the_least_loss_and_its_price(device: Any, price: float, step: float | None) -> None:
+    rng = np.random.default_rng(1)
+    shape = (6, 6, 4)
+    depth = rng.uniform(-1.6, 1.6, shape)
+    dose = (0.8 + 0.2 * np.clip(depth, -1.0, 1.0) + rng.normal(0.0, 0.1, shape)).astype(np.float32)
+    target = np.clip(0.5 + 0.5 * depth, 0.0, 1.0).astype(np.float32)
+    each = list(zip(dose.ravel().tolist(), depth.ravel().tolist(), strict=True))
+    halves = np.linspace(0.1, 0.25, 301)
+    totals = [sum(written_out(d, t, 1.0, half) for d, t in each) + price * (0.25 - half) for half in halves]
+    best = float(halves[int(np.argmin(totals))])
+    assert best == pytest.approx(step) if step else 0.12 < best < 0.23
+    given, out = device.upload(dose), device.empty(shape)
+    value = Ramp(0.7, 0.9, 1.05, steepest=2.5, price=price).value_and_gradient(given, device.upload(target), out)
+    assert value == pytest.approx(min(totals), rel=1e-4)
+    wanted = device.empty(shape)
+    Ramp(0.8 - best, 0.8 + best, 0.95 + best).value_and_gradient(given, device.upload(target), wanted)
+    np.testing.assert_allclose(out.numpy(), wanted.numpy(), atol=6e-4)  # the tried steps are 5e-4 apart
+    assert np.array_equal(given.numpy(), dose)
 
 
 @pytest.mark.parametrize("given", [(0.9, 0.9), (-0.1, 0.9), (0.7, 1.1), (0.7, float("nan")), (0.7, 0.9, 1e13)])
@@ -294,6 +315,19 @@ def test_an_exposure_limit_holds_on_the_targets_voxels(processor: str) -> None:
         plan = vam.optimize(A, ball(), iterations=25, exposure_limit=2.0 * whole, **given)
     assert np.array_equal(plan.sinogram.numpy(), free.sinogram.numpy())
     assert any("exposure limit" in str(each.message) for each in told) == (plan.window <= 0.0)
+
+
+# ---- the step of the thresholds --------------------------------------------------------------------------------------
+def test_a_part_that_allows_it_gets_a_wider_step(fast_device: Any) -> None:
+    """Judged a pixel and more from the surface of a ball."""
+    A, depth, found = projection(fast_device), ball_depth(GRID), list[float]()
+    near = np.broadcast_to(GRID.cylinder()[:, :, None], GRID.shape)
+    for method in (SurfaceRamp(steepest=1.0), SurfaceRamp()):
+        plan = quietly(A, ball(), method, iterations=40)
+        dose = plan.dose().numpy()
+        inside, outside = dose[near & (depth >= PITCH)].min(), dose[near & (depth <= -PITCH)].max()
+        found.append(float((inside - outside) / dose[near].max()))
+    assert found[1] > found[0] + 0.04, found
 
 
 # ---- runs ------------------------------------------------------------------------------------------------------------
