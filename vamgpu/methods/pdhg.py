@@ -184,8 +184,8 @@ class _Run:
         memory = self.memory
         for name in FIELDS:
             now, anchor = memory[name], memory[f"{name} anchor"]
-            self.state.combine(2.0 * share, self.after[name], -share, now, now)
-            self.state.combine(1.0, now, 1.0 - share, anchor, now)
+            combine(2.0 * share, self.after[name], -share, now, now)
+            combine(1.0, now, 1.0 - share, anchor, now)
         for name in LEVELS:
             beyond = 2.0 * self.levels[name] - memory[name]
             memory[name] = share * beyond + (1.0 - share) * memory[f"{name} anchor"]
