@@ -103,8 +103,8 @@ def test_the_loss_is_its_formula_and_its_gradient_that_of_differences(device: An
     assert (held.numpy()[far] == 0.0).all() and np.array_equal(held.numpy()[~far], out.numpy()[~far])
 
 
-@pytest.mark.parametrize(("price", "step"), [(0.01, 0.1), (1.6, None), (50.0, 0.25)])
-def test_the_step_grows_to_that_of_the_least_loss_and_its_price(device: Any, price: float, step: float | None) -> None:
+@pytest.mark.parametrize(("cost", "step"), [(0.01, 0.1), (1.6, None), (50.0, 0.25)])
+def test_the_step_grows_to_that_of_the_least_loss_and_its_cost(device: Any, cost: float, step: float | None) -> None:
     rng = np.random.default_rng(1)
     shape = (6, 6, 4)
     depth = rng.uniform(-1.6, 1.6, shape)
@@ -112,11 +112,11 @@ def test_the_step_grows_to_that_of_the_least_loss_and_its_price(device: Any, pri
     target = np.clip(0.5 + 0.5 * depth, 0.0, 1.0).astype(np.float32)
     each = list(zip(dose.ravel().tolist(), depth.ravel().tolist(), strict=True))
     halves = np.linspace(0.1, 0.25, 301)
-    totals = [sum(written_out(d, t, 1.0, half) for d, t in each) + price * (0.25 - half) for half in halves]
+    totals = [sum(written_out(d, t, 1.0, half) for d, t in each) + cost * (0.25 - half) for half in halves]
     best = float(halves[int(np.argmin(totals))])
     assert best == pytest.approx(step) if step else 0.12 < best < 0.23
     given, out = device.upload(dose), device.empty(shape)
-    value = Ramp(0.7, 0.9, 1.05, steepest=2.5, price=price).value_and_gradient(given, device.upload(target), out)
+    value = Ramp(0.7, 0.9, 1.05, steepest=2.5, cost=cost).value_and_gradient(given, device.upload(target), out)
     assert value == pytest.approx(min(totals), rel=1e-4)
     wanted = device.empty(shape)
     Ramp(0.8 - best, 0.8 + best, 0.95 + best).value_and_gradient(given, device.upload(target), wanted)

@@ -50,7 +50,7 @@ VOLUMES, SINOGRAMS, CELLS = 10, 20, 6
 """Memory that it needs, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
 ABOVE = 2.0
 """Largest number of pixels above and below the part for which there are voxels."""
-PRICE, AT_CORNERS = 1e-3, 1e-2
+COST, AT_CORNERS = 1e-3, 1e-2
 """Mean error of the dose, over voxels of the ramp, that a greater step is worth; at corners of tolerances, which
 contradict each other anyway. Three times as much costs W(½) of a large boat, a third W(1) of small parts."""
 
@@ -145,8 +145,8 @@ class SurfaceRamp(ByPairs):
         loss, target = self.loss, state.target
         if state.limits is None:
             ramped = 6.0 * (total(target) - dot(target, target))  # voxels between 0 and 1: the mean of t(1 − t) is 1/6
-            worth = AT_CORNERS if isinstance(state.operator, Scenarios) else PRICE
-            loss = replace(loss, steepest=self.steepest, price=worth * ramped)
+            worth = AT_CORNERS if isinstance(state.operator, Scenarios) else COST
+            loss = replace(loss, steepest=self.steepest, cost=worth * ramped)
         exposure = DoseObjective(state, loss, self.rule, beside=Beside.of(state.operator, self.dark))
         yield from minimize(exposure, (Channel(state, identity(state.operator)),), self.rule)
 
