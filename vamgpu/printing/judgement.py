@@ -110,7 +110,7 @@ def judged(proof: Proof) -> Judgement:
     missed = [f"the surface at a finer scale than the part's voxels, because that takes {half_pixels:,} voxels and "
               f"only {WHOLE:,} fit at once"] * (fine is None and half_pixels > WHOLE)  # fmt: skip
     if isinstance(A, OxygenModel):
-        missed.append("how oxygen diffuses at another exposure: latitudes scale the effective dose")
+        missed.append("other exposures, in which oxygen diffuses otherwise: the latitude is that of the effective dose")
     deep = min(DEEP * pixel, float(found.distance[-1]))
     least, greatest = found.limits(deep)
     compared = _surface(proof, fine, pixel, (greatest, least))

@@ -133,6 +133,11 @@ class Proof:
         return idle_light(self.operator, light, lit_pixels(self.operator, self.target))
 
     @property
+    def dose_name(self) -> str:
+        """What its latitude scales: with oxygen, the effective dose, which is not proportional to the exposure."""
+        return "effective dose" if isinstance(self.operator, OxygenModel) else "dose"
+
+    @property
     def ratio(self) -> float:
         """The proved window over the predicted one; NaN if no window is predicted."""
         return self.scores.window / self.claimed.window if self.claimed.window > 0 else float("nan")

@@ -43,11 +43,11 @@ def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Figur
     deep, found = length(judgement.deep), judgement.over_tolerance
     low, high = verdict.latitude
     meaning = (
-        f"exposures, relative to the proved one, at which everything farther than {deep} from the surface is correct, "
-        "and bodies, holes and narrow walls stay as they are"
+        f"{proof.dose_name}, relative to the proved one, at which everything farther than {deep} from the surface is "
+        "correct, and bodies, holes and narrow walls stay as they are"
     )
     said = " … ".join(f"{100 * (end - 1):+.{int(abs(end - 1) < 0.1)}f} %" for end in (low, high)).replace("-", "−")
-    figures = [Figure(said if low < high else "none", "dose latitude", meaning)]
+    figures = [Figure(said if low < high else "none", f"{proof.dose_name} latitude", meaning)]
     for number, name in ((1.0, "a pixel"), (DEEP, "two pixels")):
         distance = min(number * judgement.pixel, float(found.distance[-1]))
         judged = f"for the {100 * found.judged_at(distance):.0f} % of the part that is that deep"
