@@ -17,7 +17,6 @@ from vamgpu.geometry import centers
 from vamgpu.kernels.depth import NO_DEPTH
 from vamgpu.metrics.depth import LARGEST_REACH
 from vamgpu.metrics.interpolation import interpolated
-from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.nearest_points import nearest
 from vamgpu.metrics.surface_judgement import SurfaceJudgement, judge_surface
 from vamgpu.metrics.tolerance import (
@@ -31,6 +30,7 @@ from vamgpu.metrics.tolerance import (
 from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
 from vamgpu.printing.scattered_exposure import is_traced
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
+from vamgpu.reports.line import Line, length
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:

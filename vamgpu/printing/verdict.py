@@ -8,8 +8,8 @@ from math import inf, isnan, sqrt
 from typing import TYPE_CHECKING
 
 from vamgpu.metrics.body_changes import BodyChanges
-from vamgpu.metrics.line import length
 from vamgpu.printing.causes import Causes
+from vamgpu.reports.line import length
 from vamgpu.units import mW_cm2
 
 if TYPE_CHECKING:
