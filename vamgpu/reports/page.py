@@ -22,8 +22,6 @@ class Figure(NamedTuple):
 
 
 class Image(NamedTuple):
-    """An image and its caption."""
-
     source: str
     name: str
 
