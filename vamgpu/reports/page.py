@@ -15,8 +15,6 @@ from vamgpu.storage.atomic import check_folder, page_path, replacing
 
 
 class Image(NamedTuple):
-    """An image and its caption."""
-
     source: str
     name: str
 
