@@ -266,7 +266,7 @@ def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(prin
     table = tolerance_table(Other(), printed.light, printed.fraction)  # type: ignore[arg-type]
     notes = {row.name: row.note for row in table.rows}
     assert notes.pop("dose") == "" and table.exposures == 1 and len(table.first_wrong) == 2
-    assert set(notes.values()) == {"Other cannot be varied; only a plain Projection can"}
+    assert set(notes.values()) == {"got Other; expected a Projection, whose light no insert or medium bends"}
 
 
 def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
