@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from profiling.leaderboard import entry, page
-from profiling.leaderboard.__main__ import _limited
-from profiling.leaderboard.entries import ENTRIES, Entry
+from profiling.leaderboard import entries, entry, page
+from profiling.leaderboard.__main__ import Judged, _limited
+from profiling.leaderboard.entries import ENTRIES, RESULT, Entry
 from profiling.leaderboard.page import SCORES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,6 +59,19 @@ def test_ours_is_solved_again_until_it_is_as_soon_as_the_fastest_program() -> No
     assert aims == pytest.approx([5.0, 4.5], rel=1e-3)
     case["entries"]["ours"]["0"]["seconds"] = 4.9
     assert _limited(SimpleNamespace(), case) == {"seconds": 4.9}  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_entry_solves_once_unless_it_is_asked_again(tmp_path: Path, again: bool) -> None:
+    for place in ("leap", "drtvam"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / RESULT).write_text('{"missing": "kept"}')
+    judged = SimpleNamespace(folder=tmp_path, again=again)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(entries, "PEERS", tmp_path / "none")
+        found = Judged.solved(judged, "leap", "leap")  # type: ignore[arg-type]
+    assert (found["missing"] == "kept") is not again
+    assert (tmp_path / "drtvam" / RESULT).exists()
 
 
 def test_an_entry_that_cannot_run_says_why(tmp_path: Path) -> None:
