@@ -3,8 +3,8 @@
     python -m profiling.leaderboard --parts boat gear --vials matched air
     python -m profiling.leaderboard --parts               # only the page, from the record and the pictures in `out`
 
-What the record already has is not run again. With --judge-again, the frames in `out` are judged again; with --again, the
-entries also solve again, for example `--entries ours ours-limited --again` after a change of the default.
+What the record already has is not run again. With --judge-again, the frames in `out` are judged again. With --again,
+entries solve again as well, for example `--entries ours ours-limited --again` after a change of the default.
 """
 
 from __future__ import annotations
