@@ -45,6 +45,17 @@ def test_the_page_names_the_case_that_is_farthest_behind(tmp_path: Path) -> None
     assert "| RMS [µm] | 0 | 0 | 2 | gear, air: LEAP, VAM.py 9, ours 12 |" in text
 
 
+def test_the_head_says_where_the_default_is_ahead_and_behind(tmp_path: Path) -> None:
+    each = record({"rms_um": 12.0, "W1": 0.1}, {"rms_um": 15.0, "W1": 0.2})["cases"]["boat, air"]
+    both = record({"rms_um": 9.0, "W1": 0.1, "seconds": 4.0}, {"rms_um": 8.0, "W1": 0.2, "seconds": 3.0})
+    both["cases"] |= {"gear, air": each, "text, air": each, "text, square": each}
+    page.write(tmp_path, both, tmp_path)
+    text = (tmp_path / "compared.md").read_text(encoding="utf-8")
+    assert "most accurate surface (RMS)\nin 3 of 4 cases" in text and "| in air | 3 | 9 to 12 | 8 to 15 |" in text
+    assert "(W(1), below): boat, gear and text in air; text in a square vial\n" in text
+    assert "(latitude): nowhere\n" in text
+
+
 def test_ours_is_solved_again_until_it_is_as_soon_as_the_fastest_program() -> None:
     aims: list[float] = []
 
