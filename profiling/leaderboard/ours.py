@@ -15,9 +15,9 @@ from vamgpu.targets.mesh import load_mesh
 
 VOXEL = 0.75
 """Width of voxels over that of a pixel in the resin; 1 in a square vial, because they fill all of it."""
-METHODS = {"wide": vamgpu.SurfaceRamp(outside=0.6, width=0.75), "limited": "default"}
-"""Settings that are no method's defaults; "wide" requires a greater step of the dose, closer to the surface."""
-USUAL = {"default": 120, "wide": 120, "limited": 120, "lbfgs": 40, "recipe": 2}
+METHODS = {"limited": "default"}
+"""Names that are no method's."""
+USUAL = {"default": 120, "limited": 120, "lbfgs": 40, "recipe": 2}
 """Evaluations; "recipe" is our version of the recipe of automatic exposure, which its authors correct twice."""
 
 

@@ -26,9 +26,9 @@ class Ramp(KernelLoss):
         e = min(0, D − t) + max(0, D − most) in the part,  e = max(0, D − t) outside
 
     Two thresholds need a jump of the dose at the surface, which pixels of width s cannot make.
-    `vamgpu.methods.surface.across` makes the target from fractions: clip(½ + d / 2s, 0, 1). With a price p, half the
+    `vamgpu.methods.surface.across` makes the target from fractions: clip(½ + d / 2s, 0, 1). With a cost c, half the
     step h = (inside − outside)/2 grows about its middle to h' = h … steepest·h, for the least loss plus
-    p·(steepest·h − h'); ``most`` rises by h' − h.
+    c·(steepest·h − h'); ``most`` rises by h' − h.
 
     Args:
         outside: Greatest dose at a distance s outside the surface, relative to the part's.
@@ -36,7 +36,7 @@ class Ramp(KernelLoss):
         most: Greatest dose in the part, relative to the part's.
         weight: Weight w of each voxel [x, y, z], NumPy or on the device; None for 1.
         steepest: Greatest ratio by which the step grows; less where thresholds would be negative.
-        price: Loss for each unit of dose by which half the step is less than greatest, ≥ 0; 0 keeps the step.
+        cost: Loss for each unit of dose by which half the step is less than greatest, ≥ 0; 0 keeps the step.
 
     Raises:
         BadInput: The values are not 0 ≤ outside < inside ≤ most.
@@ -47,7 +47,7 @@ class Ramp(KernelLoss):
     most: float = 1.0
     weight: Any = field(default=None, compare=False, repr=False)
     steepest: float = 1.0
-    price: float = 0.0
+    cost: float = 0.0
     sums: ClassVar[tuple[str, ...]] = ("parts", "slopes", "bends")
 
     def __post_init__(self) -> None:
@@ -58,12 +58,12 @@ class Ramp(KernelLoss):
 
     @property
     def coupling(self) -> str:
-        return "the step of the thresholds depends on all voxels" if self.price else super().coupling
+        return "the step of the thresholds depends on all voxels" if self.cost else super().coupling
 
     def value_and_gradient(
         self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE
     ) -> float:
-        if not self.price:
+        if not self.cost:
             return super().value_and_gradient(dose, target, out, reach)
         if out is not dose:
             combine(1.0, dose, 0.0, dose, out)
@@ -71,10 +71,10 @@ class Ramp(KernelLoss):
         half = greatest = max(least, min(self.steepest * least, middle))
         for _ in range(PASSES):  # Newton's method, from above because the slope is almost convex
             _, slope, bend = self.passed(out, target, reach, **self._apart(half - least), hold=1)
-            before, half = half, min(max(half - (slope - self.price) / max(bend, 1e-30), least), greatest)
+            before, half = half, min(max(half - (slope - self.cost) / max(bend, 1e-30), least), greatest)
             if abs(half - before) < ALIKE:
                 break
-        return self.passed(out, target, reach, **self._apart(half - least))[0] + self.price * (greatest - half)
+        return self.passed(out, target, reach, **self._apart(half - least))[0] + self.cost * (greatest - half)
 
     def _apart(self, more: float) -> dict[str, Any]:
         """Thresholds farther from their middle."""

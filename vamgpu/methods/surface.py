@@ -50,9 +50,9 @@ VOLUMES, SINOGRAMS, CELLS = 10, 20, 6
 """Memory that it needs, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
 ABOVE = 2.0
 """Largest number of pixels above and below the part for which there are voxels."""
-PRICE = 1e-3
-"""Mean error of the dose, over voxels of the ramp, that a greater step of the thresholds is worth. Three times as much
-costs accuracy on a boat 160 pixels wide, a third of it 0.02 to 0.05 of the window a pixel from the surface."""
+COST, AT_CORNERS = 1e-3, 1e-2
+"""Mean error of the dose, over voxels of the ramp, that a greater step is worth; at corners of tolerances, which
+contradict each other anyway. Three times as much costs W(½) of a large boat, a third W(1) of small parts."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,8 @@ class SurfaceRamp(ByPairs):
         loss, target = self.loss, state.target
         if state.limits is None:
             ramped = 6.0 * (total(target) - dot(target, target))  # voxels between 0 and 1: the mean of t(1 − t) is 1/6
-            loss = replace(loss, steepest=self.steepest, price=PRICE * ramped)
+            worth = AT_CORNERS if isinstance(state.operator, Scenarios) else COST
+            loss = replace(loss, steepest=self.steepest, cost=worth * ramped)
         exposure = DoseObjective(state, loss, self.rule, beside=Beside.of(state.operator, self.dark))
         yield from minimize(exposure, (Channel(state, identity(state.operator)),), self.rule)
 
@@ -216,8 +217,9 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
         )
     else:
         depth = depth[pad:-pad, pad:-pad, pad:-pad]
-    ramp = np.clip(0.5 + depth * (own.pitch / (2.0 * width)), 0.0, 1.0)
-    return fine.device.upload(ramp.astype(np.float32))
+    ramp = depth * (own.pitch / (2.0 * width))
+    ramp += 0.5
+    return fine.device.upload(np.asarray(np.clip(ramp, 0.0, 1.0, out=ramp), np.float32))
 
 
 def _deep(fraction: np.ndarray, reach: float, device: Device) -> np.ndarray:

@@ -58,12 +58,16 @@ def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Project
     """`clouded` and `displaced` with tables computed once; A itself for amounts of 0. Raises `BadInput` as they do."""
     vessel: Any = A.vessel
     if share:
-        if vessel is None or vessel.absorption == 0:
-            raise BadInput("the light passes without absorption")
-        vessel = with_absorption(vessel, (1.0 + share) * vessel.absorption)
+        vessel = _clouded(vessel, share)
     if pixels:
         vessel = _displaced(vessel, pixels * A.beam.pitch)
     return A if vessel is A.vessel else _varied(A, A.beam, vessel)
+
+
+def _clouded(vessel: Any, share: float) -> Any:
+    if vessel is None or vessel.absorption == 0:
+        raise BadInput("the light passes without absorption")
+    return with_absorption(vessel, (1.0 + share) * vessel.absorption)
 
 
 def _displaced(vessel: Any, offset: float) -> Misaligned:
