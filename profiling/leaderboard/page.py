@@ -178,7 +178,7 @@ def _table(case: dict[str, Any], key: str, timed: bool = False) -> str:
 
 
 def _picture(docs: Path, name: str, case: dict[str, Any], work: Path) -> str:
-    """Draw the slice of each entry with its worst voxel, if one is newer and none is lacking; "" where there is none."""
+    """Draw the slice of each entry with its worst voxel, if one is newer and none is lacking; "" without any."""
     kept = [entry for entry in ENTRIES if entry in case["entries"] and (work / entry / "worst.npz").exists()]
     path = f"compared-{work.name}.png"
     if not kept:

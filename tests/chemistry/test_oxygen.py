@@ -218,7 +218,7 @@ def test_voxels_a_pixel_wide_are_fine_enough(fast_device: Device) -> None:
         A = vam.Projection(grid, beam, vam.Turntable(24, lit_share=0), vam.Vat(4.0, absorption=0.05), fast_device)
         return OxygenModel(A, Oxygen(1e-3, 3, 9.0, 0.1, runs=24))
 
-    x, y, _ = model(1).operator.grid.axes()
+    x, y, _ = vam.Grid((16, 16, 1), PITCH).axes()
     away = np.hypot(x[:, None], y)
     part = ((away < 0.5) & (np.hypot(x[:, None] - 0.2, y) > 0.15))[:, :, None].astype(float)
     light = vam.optimize(model(1), part, iterations=30, progress=False).sinogram.numpy()

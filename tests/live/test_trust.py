@@ -189,7 +189,7 @@ def test_what_stays_as_dark_as_it_came_before_anything_cured_is_no_cure(
     clear = np.random.default_rng(2).uniform(500.0, 800.0, depth.shape)
     for share in (0.0, *shares):
         at = loop._after(state, np.broadcast_to(clear * np.exp(-share * depth), made.camera().shape))
-        state = replace(state, clear=at.clear, level=at.level)
+        state = replace(state, clear=at.state.clear, level=at.state.level)
     assert at.cured == pytest.approx(cured, abs=0.01)
 
 
