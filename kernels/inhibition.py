@@ -138,7 +138,7 @@ def oxygen_adjoint(
     left = oxygen_left(before, gain * dose, floor)
     share = left / before
     by_v = (floor * x_slope + left * used_slope) / (left + floor)
-    used_slope[...] = share * used_slope + (1.0 - share) * by_v
+    used_slope[...] = np.where(1.0 - used > LEAST, share * used_slope + (1.0 - share) * by_v, 0.0)
     dose_slope += gain * by_v
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -115,7 +116,8 @@ def task(A: vam.Projection, resin: vam.Scattering, options: argparse.Namespace) 
                       "resy": A.beam.pixels[1], "pixel_size": A.beam.pitch, "motion": "circular", "distance": 20},
         "sensor": {"type": "dda", **{f"scale{axis}": options.side for axis in "xyz"}, "film": film},
         "target": {"filename": "part.ply", "size": JOB["length"]},
-        "loss": {"type": "threshold", "tl": 0.8, "tu": 0.95}, "transmission_only": True, "filter_radon": True,
+        "loss": {"type": "threshold", "tl": 0.8, "tu": 0.95}, "transmission_only": True,
+        "filter_radon": not options.every_pixel,
         "n_steps": options.steps, "spp": options.rays, "spp_ref": 16, "spp_grad": options.rays,
     }  # fmt: skip
 
@@ -169,6 +171,7 @@ def beside(options: argparse.Namespace) -> None:
     """The whole process of both programs, and each light by both judges."""
     A, resin = published(options)
     found: dict[str, Any] = {"machine": machine(A.device), "turbid": options.turbid, "voxels": options.size}
+    found |= {"steps": options.steps, "rays": options.rays, "every_pixel": options.every_pixel}
     with tempfile.TemporaryDirectory() as folder:
         ours, others = Path(folder) / "ours", Path(folder) / "theirs"
         for place in (ours, others):
@@ -179,7 +182,7 @@ def beside(options: argparse.Namespace) -> None:
         found["ours, first"] = called([*job, "--out", str(ours)])
         found["ours, later"] = called([*job, "--out", str(ours)])
         program = [os.environ.get("VAM_DRTVAM", "drtvam"), "--backend", options.backend]
-        found["theirs"] = called([*program, str(others / "task.json")], others)
+        found["theirs"] = called([*program, str(others / "task.json")], others, options.steps)
         found["theirs, by our judge"] = called([*job, "--judge", str(others)])
         mean = float(np.load(others / "patterns.npz")["patterns"].mean())
         found["ours, by our judge"] = called([*job, "--out", str(ours), "--prove", "--mean", str(mean)])
@@ -190,13 +193,15 @@ def beside(options: argparse.Namespace) -> None:
         write_record(options.records, f"scattering-beside-{options.label}", found)
 
 
-def called(command: list[str], scores: Path | None = None) -> dict[str, Any]:
-    """Seconds of a whole process, and the scores that it prints, or writes as Dr.TVAM does."""
+def called(command: list[str], scores: Path | None = None, steps: int = 0) -> dict[str, Any]:
+    """Seconds of a whole process and of a step, and the scores that it prints, or writes as Dr.TVAM does."""
     began = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     found = {"process_s": round(time.perf_counter() - began, 1)}
     if done.returncode:
         return {**found, "missing": done.stderr[-1500:]}
+    if bars := re.findall(rf"\b{steps}/{steps} \[[^\]]*?([\d.]+)s/it", done.stderr):
+        found["step_s"] = float(bars[-1])
     text = done.stdout.splitlines()[-1] if scores is None else (scores / "output_metrics.json").read_text("utf-8")
     return {**found, **json.loads(text)}
 
@@ -222,6 +227,7 @@ def main() -> None:
     parser.add_argument("--mean", type=float, default=0.02, help="mean of the patterns that are written for Dr.TVAM")
     parser.add_argument("--steps", type=int, default=40, help="of Dr.TVAM")
     parser.add_argument("--rays", type=int, default=4, help="of Dr.TVAM, for each pixel")
+    parser.add_argument("--every-pixel", action="store_true", help="of Dr.TVAM, also those that light no part")
     parser.add_argument("--backend", default="cuda", help="of Dr.TVAM")
     parser.add_argument("--records", type=Path)
     parser.add_argument("--label", default="cpu")

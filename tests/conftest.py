@@ -148,8 +148,9 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test once for every device, by the name of the fixture it asks for."""
+    """Run each case once for every device, one after the other, by the name of the fixture a test asks for."""
     choices = {
         "device": device_list(),
         "fast_device": [name for name in device_list() if name != "numpy"],

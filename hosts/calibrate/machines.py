@@ -198,14 +198,12 @@ class CalibrationLight:
         self.guard.__exit__(kind, error, trace)
 
     def on(self) -> None:
-        """Turn the light on."""
         self.lease.beat()
         self.lease.keep(force=True)
         self.guard.observe(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self.guard.on(self._power)
 
     def off(self) -> None:
-        """Turn the light off."""
         self.guard.off("between readings")
 
     def wait(self, seconds: float) -> None:

@@ -21,8 +21,6 @@ Line = tuple[str, str]
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """A calibration's outcome."""
-
     kind: str  # focus, axis, gray, flat, mtf, runout or turn
     numbers: Mapping[str, Any]  # plain values by name
     readings: Mapping[str, np.ndarray]

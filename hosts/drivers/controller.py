@@ -82,7 +82,6 @@ class Controller(Closing):
 
     @classmethod
     def open(cls, url: str, microsteps_per_mm: float = 1.0, baud: int = 115200, timeout_s: float = 0.1) -> Self:
-        """Open the controller at an address."""
         return cls(open_wire(url, "the controller", baud, timeout_s), microsteps_per_mm)
 
     def _start(self) -> None:
@@ -250,7 +249,6 @@ class Controller(Closing):
 
     @property
     def index(self) -> Index | None:
-        """The index mark that is set."""
         return self._measuring[1]
 
     def home(self, number: int, speed_mm_s: float) -> None:
@@ -259,7 +257,6 @@ class Controller(Closing):
         self.ask("home", number, round(speed_mm_s * self.microsteps_per_mm * 1000))
 
     def status(self) -> Status:
-        """The controller's state."""
         return protocol.parse_status(self.ask("stat"))
 
     def position_mm(self) -> float:

@@ -38,7 +38,6 @@ class ControllerRow:
     channels: int = 1
 
     def words(self) -> tuple[str, ...]:
-        """The arguments of its line."""
         lens = "-" if self.lens is None else str(self.lens)
         return (str(self.index), str(self.at), lens, str(self.delay_us), str(self.on_us), str(self.channels))
 
@@ -78,7 +77,6 @@ def line_check(data: bytes) -> int:
 
 
 def encode(*words: object) -> bytes:
-    """The bytes of a line."""
     body = " ".join(str(word) for word in words)
     line = f"{body}*{line_check(body.encode('ascii')):04X}\n".encode("ascii")
     if len(line) > LONGEST_LINE or "\n" in body or "*" in body:
@@ -95,7 +93,6 @@ def check(line: bytes) -> tuple[str, ...]:
 
 
 def parse(line: bytes) -> Reply:
-    """Read a line of the controller."""
     words = check(line)
     if words[0] in ("!", "?"):
         return Reply(words[0], None, words[1:])
@@ -105,7 +102,6 @@ def parse(line: bytes) -> Reply:
 
 
 def parse_status(words: tuple[str, ...]) -> Status:
-    """The status in the answer to ``stat``."""
     try:
         state, *numbers, fault = words
         row, shown, late, free, *web, lease, light, armed, closed, senses, measured, marks = map(int, numbers)

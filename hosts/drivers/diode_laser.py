@@ -55,7 +55,6 @@ class DiodeLaser(ClosedOnce):
 
     @classmethod
     def open(cls, port: str, kind: str, watts: float, baud: int = 115200) -> Self:
-        """Open the laser at a serial port."""
         return cls(open_wire(port, "the laser", baud), kind, watts)
 
     def _tell(self, text: str, pattern: str | None = None) -> str:

@@ -74,7 +74,6 @@ class Dmd(ClosedOnce):
         self._alp.call(name, self.device, *arguments)
 
     def inquire(self, kind: int) -> int:
-        """A number of the device."""
         return self._alp.number("AlpDevInquire", self.device, kind)
 
     def free_planes(self) -> int:
@@ -100,7 +99,6 @@ class Dmd(ClosedOnce):
         self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
 
     def progress(self) -> Progress:
-        """Progress of the queue."""
         answer = Progress()
         self.call("AlpProjInquireEx", alp.PROGRESS, byref(answer))
         return answer
@@ -160,7 +158,6 @@ class PlaneSequence:
         self.dmd.call("AlpSeqControl", self.id, kind, value)
 
     def inquire(self, kind: int) -> int:
-        """A number of the sequence."""
         return self.dmd.number("AlpSeqInquire", self.id, kind)
 
     def limits(self) -> SequenceLimits:
@@ -200,5 +197,4 @@ class PlaneSequence:
             ) from error
 
     def free(self) -> None:
-        """Free the memory."""
         self.dmd.call("AlpSeqFree", self.id)

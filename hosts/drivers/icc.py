@@ -44,7 +44,6 @@ class IccLens(Closing, Lens):
 
     @classmethod
     def open(cls, port: str, channel: int = 0) -> Self:
-        """Open the controller at a serial port."""
         try:
             import optoICC  # type: ignore[import-not-found]
         except ImportError as error:

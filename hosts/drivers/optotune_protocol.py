@@ -53,7 +53,6 @@ class Request:
 
     @property
     def frame(self) -> bytes:
-        """Bytes on the wire."""
         return self.payload + struct.pack("<H", crc16_arc(self.payload)) if self.checked else self.payload
 
 

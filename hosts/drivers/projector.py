@@ -130,7 +130,6 @@ class HdmiProjector(ClosedOnce):
 
     @property
     def slots_per_s(self) -> float:
-        """Frames per second."""
         return self.layout.slots * self.window.rate_hz
 
     def show(self, frames: list[np.ndarray]) -> int:

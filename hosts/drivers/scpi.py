@@ -54,7 +54,6 @@ class PowerMeter(Closing):
         return answer.decode("ascii", "replace").strip()
 
     def number(self, text: str) -> float:
-        """Query a number."""
         answer = self.ask(text)
         try:
             value = float(answer)

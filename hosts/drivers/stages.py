@@ -72,7 +72,6 @@ class PolledStage(ClosedOnce):
         raise NotImplementedError
 
     def busy(self) -> bool:
-        """Whether the axis moves."""
         raise NotImplementedError
 
     def move(self, position: float, speed: float) -> None:
@@ -108,7 +107,6 @@ class PolledStage(ClosedOnce):
         self.run(0.0)
 
     def release(self) -> None:
-        """Release the line."""
         self._line.close()
 
     def endings(self) -> tuple[Callable[[], object], ...]:
@@ -331,7 +329,6 @@ class StandaStage(ClosedOnce):
 
     @classmethod
     def open(cls, uri: str, steps: float, unit: str = "deg", fraction: int = 256) -> Self:
-        """Open the axis at an address."""
         return cls(_axis(uri), steps, unit, fraction)
 
     def _call(self, name: str, *arguments: Any) -> Any:

@@ -28,15 +28,12 @@ class Dialogue(NamedTuple):
 
 
 class TextStage(PolledStage):
-    """One axis."""
-
     def __init__(self, wire: Wire, dialogue: Dialogue, microsteps: float, unit: str = "deg", **options: Any) -> None:
         self._wire, self._says = wire, dialogue
         super().__init__(wire, wire.name, microsteps, unit, **options)
 
     @classmethod
     def open(cls, port: str, dialogue: Dialogue, microsteps: float, unit: str = "deg", baud: int = 115200) -> Self:
-        """Open a stage at a serial port."""
         return cls(open_wire(port, "the stepper's board", baud), dialogue, microsteps, unit)
 
     def _start(self) -> None:

@@ -150,7 +150,6 @@ class Wire(Closing):
             ) from error
 
     def send(self, data: bytes) -> None:
-        """Send all bytes."""
         with self._used():
             self.port.write(data)
 
@@ -201,7 +200,6 @@ class Wire(Closing):
             return len(self._ahead) + self.port.in_waiting
 
     def drain(self) -> None:
-        """Discard received bytes."""
         self._ahead.clear()
         with self._used():
             self.port.reset_input_buffer()

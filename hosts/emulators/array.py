@@ -29,7 +29,6 @@ class ArrayModel:
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of a packed row."""
         return 2048 // 8 if self.width == 1920 else self.width // 8
 
     def least_picture_us(self, bits: int) -> int:

@@ -225,7 +225,6 @@ class ProjectedLight:
         self._lamp: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=4096)
 
     def lamp(self, channels: int, powers: Iterable[int], now: int) -> None:
-        """The lamp changes."""
         drive = list(powers)[self.channel] / 65535.0
         self._lamp.append((now, drive if channels >> self.channel & 1 else 0.0))
 
@@ -372,30 +371,25 @@ class EmulatedCalibrationRig:
         return float(np.radians(self.box.web.position(now) / self.rig.motion.microsteps))
 
     def controller(self) -> Controller | None:
-        """The controller, if the rig has one."""
         if self.rig.controller is None:
             return None
         return Controller(Wire(VirtualPort(self.box, self.clock, 0.02), "the controller"), self.rig.motion.microsteps)
 
     def lamp(self) -> TtlLamp | None:
-        """The lamp that the host switches, if any."""
         return TtlLamp(EmulatedLine(self._switched)) if self.rig.light.gate == "line" else None
 
     def displays(self) -> list[Any]:
-        """The mirrors or the screen of each projector."""
         if not self.rig.video:
             return [Dmd(alp.library) for alp in self._shown]
         return [HdmiProjector(screen, section.layout, section.latency)
                 for screen, section in zip(self._shown, self.rig.display, strict=True)]  # fmt: skip
 
     def lens(self) -> LensDriver:
-        """The lens, in focal power mode."""
         lens = LensDriver(Wire(VirtualPort(self.glass, self.clock, 0.25, 115200), "the lens driver"))
         lens.focal_power_mode()
         return lens
 
     def stage(self) -> ZaberStage:
-        """The camera's stage."""
         wire = Wire(VirtualPort(self.axis, self.clock, 0.5), "the camera's stage")
         return ZaberStage(wire, self._microsteps(), "mm", pause=lambda seconds: self.clock.sleep(round(seconds * 1e9)))
 
@@ -408,7 +402,6 @@ class EmulatedCalibrationRig:
         return camera
 
     def meter(self) -> PowerMeter:
-        """The photodiode."""
         optics = self.optics
         passes = optics.passes()
 

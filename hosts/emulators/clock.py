@@ -37,7 +37,6 @@ class VirtualClock:
             self._machines.append(machine)
 
     def detach(self, machine: Timed) -> None:
-        """Detach a machine."""
         with self.lock:
             self._machines = [each for each in self._machines if each is not machine]
 

@@ -85,7 +85,6 @@ class EmulatedController(LineDevice):
         self._steady = 0
 
     def due(self) -> int | None:
-        """Time of its next event."""
         times = [self._judge_at, self._pulse_end, None if self._pulse is None else self._pulse[0], self._row_due()]
         if self.lease_end is not None and (self.light or self.armed):
             times.append(self.lease_end)
@@ -109,7 +108,6 @@ class EmulatedController(LineDevice):
         return int(position + (1e-6 if position > 0 else -1e-6))
 
     def advance(self, now: int) -> None:
-        """Do everything that is due."""
         while (at := self.due()) is not None and at <= now:
             if self.senses.used and self._sense_at(at):
                 continue
@@ -235,7 +233,6 @@ class EmulatedController(LineDevice):
             self._sense_at(now)
 
     def open_interlock(self, now: int) -> None:
-        """The enclosure is opened."""
         self.advance(now)
         self.interlock_closed = False
         self.close("interlock", now)

@@ -53,7 +53,6 @@ class DoseRecorder:
             self._awaited = turn, (way[dark] + MARGIN) // turn
 
     def lamp(self, channels: int, now: int) -> None:
-        """The lamp changes."""
         if channels and self.first is None:
             self.first = self._position(now)
         self._times.append(now)
@@ -63,7 +62,6 @@ class DoseRecorder:
             del self._times[:2000], self._channels[:2000], self._drives[:2000]
 
     def shown(self, engine: int, shown: DisplayedFrame) -> None:
-        """Mirrors have shown a frame."""
         for plane, (start, end) in enumerate(zip(shown.starts, shown.ends, strict=True)):
             self.lit(engine, shown.mirrors(plane, self.mirrors[1]), start, end)
 

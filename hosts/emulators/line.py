@@ -30,7 +30,6 @@ class LineDevice:
                 yield line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         raise NotImplementedError
 
     def take(self, now: int) -> bytes:

@@ -232,7 +232,6 @@ class EmulatedLine:
 
     @property
     def rts(self) -> bool:
-        """The line."""
         return self._rts
 
     @rts.setter
@@ -244,6 +243,5 @@ class EmulatedLine:
             self._on_change(high)
 
     def close(self) -> None:
-        """Low."""
         if not self.unplugged:
             self.rts = False

@@ -54,7 +54,6 @@ class Senses:
         self._here(now, position)
 
     def slip(self, now: int, position: int, steps: int) -> None:
-        """The shaft loses steps."""
         self._lost += steps
         self._here(now, position)
 
@@ -78,7 +77,6 @@ class Senses:
         self._here(now, position)
 
     def call_position(self, now: int, position: int, there: int) -> None:
-        """Set ``position`` to ``there``."""
         self._base, self.astray = (self._counts(position), there), False
         self._shift += position - there
         self._first += there - position

@@ -66,7 +66,6 @@ class BufferRing:
 
     @property
     def capacity(self) -> int:
-        """Buffers."""
         return len(self._buffers)
 
     @property

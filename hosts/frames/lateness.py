@@ -9,8 +9,6 @@ from vamgpu.hosts.schedules.timing import whole
 
 
 class LatePolicy(Protocol):
-    """Decides on late frames."""
-
     @property
     def stopped(self) -> str: ...  # why `drop` ended the print
     def drop(self, pose: int) -> bool: ...  # count a pose with a late frame, in rising order; whether the print ends

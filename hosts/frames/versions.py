@@ -168,7 +168,6 @@ class FrameVersions:
             self._light[version.number], self.stop = version.light, version.stop
 
     def drop(self, version: FrameVersion, why: str) -> None:
-        """Drop a version."""
         with self._lock:
             self._refuse(version, why)
 

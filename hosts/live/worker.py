@@ -94,7 +94,6 @@ class PlannerClient:
         self.tell({"checks": [list(each) for each in checks], "doubt": doubt})
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Send a message as it is."""
         send(self._line, message)
 
 

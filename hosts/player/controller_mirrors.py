@@ -165,7 +165,6 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         self._sent = max(self._sent, stop)
 
     def _row(self, number: int) -> ControllerRow:
-        """A row of this run segment."""
         if number < PREROLL:
             return self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
         return self._rows.row(self._first + number - PREROLL, number)

@@ -29,8 +29,6 @@ LEAVE = 1.0  # longest time for the thread to end [s]
 
 @dataclass(frozen=True)
 class StopRule:
-    """When a print stops."""
-
     threshold: float  # scatter density [gray levels/voxel]
     voxels: float  # voxels of the part
     bits: int = 8  # greatest level of the camera

@@ -93,7 +93,6 @@ def gate(
 
 
 def late_policy(schedule: Schedule) -> LatePolicy:
-    """The policy for late frames of a web or a vial."""
     return VialLatePolicy(schedule.frames) if schedule.repeats else WebLatePolicy()
 
 

@@ -54,7 +54,6 @@ class SpeedMonitor:
         self.restart()
 
     def restart(self) -> None:
-        """Clear the readings."""
         self._seen: deque[tuple[int, float]] = deque()
         self.last: float = 0.0
         self.span: int = 0

@@ -17,8 +17,6 @@ from vamgpu.hosts.schedules.schedule import Schedule
 
 @dataclass(frozen=True)
 class StatusPoll:
-    """State of the machines at a status poll."""
-
     running: bool  # False after the light of the last frame
     motion: float  # error [poses]
     shown: int  # frames shown by the mirrors
@@ -32,8 +30,6 @@ class StatusPoll:
 
 
 class Renew(Protocol):
-    """Renews a lease."""
-
     def __call__(self, length: int) -> None: ...  # keep the light on for ``length`` [ns] more
 
 

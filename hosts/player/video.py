@@ -33,8 +33,6 @@ ASIDE = 0.75  # difference of stage and slot count above which the count is corr
 
 @dataclass(frozen=True)
 class SlotLight:
-    """Light of some slots."""
-
     times: int  # slots of light, more than one if a screen repeated a slot
     late: int  # greatest delay of one after the stage was at its angle [ns]
     missing: tuple[int, ...]  # slots that were not shown
@@ -104,8 +102,6 @@ STEP = 0.02  # greatest phase error [slots]
 
 @dataclass(frozen=True)
 class StageReading:
-    """A reading of the stage."""
-
     degrees: float  # position since pose 0
     slots: float  # slots of the cable since pose 0, at the last refresh
     since: int  # refreshes after the observed one

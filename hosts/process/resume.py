@@ -27,8 +27,6 @@ from vamgpu.storage.reading import MOST_TOML, read_text
 
 @dataclass(frozen=True, eq=False)
 class Interrupted:
-    """An interrupted print."""
-
     run: RunRecord
     first: int  # the next slot
     unseen: int  # the slot from which records may be incomplete

@@ -153,5 +153,4 @@ def changed(value: Any, before: Any) -> bool:
 
 
 def failed(error: BaseException) -> dict[str, Any]:
-    """An error as a message."""
     return {"error": type(error).__name__, "why": str(error)}

@@ -40,7 +40,6 @@ class ShownFrames:
 
     @property
     def motion(self) -> Any:
-        """The angles of the frames."""
         return self.frames.motion
 
     def irradiance(self, device: Device) -> DeviceArray:

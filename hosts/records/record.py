@@ -141,7 +141,6 @@ class RunFolder:
         self._put(self._events, (json.dumps(line, default=str) + "\n").encode(), "events.jsonl")
 
     def shown(self, shown: FrameRecord) -> None:
-        """Write a shown frame."""
         self._put(self._shown, shown.packed(), "shown.bin")
 
     def state(self, change: StateChange) -> None:

@@ -21,8 +21,6 @@ class WrongState(VamError, RuntimeError):
 
 
 class PrintState(StrEnum):
-    """State of a print."""
-
     STANDBY = "standby"
     PRINTING = "printing"
     PAUSED = "paused"
@@ -34,7 +32,6 @@ class PrintState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether the print has ended."""
         return not NEXT[self]
 
     @property
@@ -100,8 +97,6 @@ class PrintStates:
 
 @dataclass(frozen=True)
 class Estimated:
-    """An estimated parameter of a print."""
-
     name: str  # name with unit
     value: float
     error: float  # standard deviation
@@ -196,5 +191,4 @@ class Board:
 
     @property
     def buttons(self) -> dict[str, Callable[[], None]]:
-        """The available buttons."""
         return dict(self._buttons)

@@ -190,7 +190,6 @@ class RigFile(Section):
 
     @property
     def emulated(self) -> bool:
-        """Whether the machines are emulated."""
         return self.motion.emulated
 
     @property
@@ -205,7 +204,6 @@ class RigFile(Section):
 
     @property
     def photodiode(self) -> PowerMeterFeedback | None:
-        """The power meter."""
         return next((each for each in self.feedback if isinstance(each, PowerMeterFeedback)), None)
 
 

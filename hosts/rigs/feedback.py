@@ -41,7 +41,6 @@ class EncoderFeedback(FeedbackPart):
         return self
 
     def sensor(self) -> Encoder:
-        """The sensor for the controller."""
         return Encoder(self.counts, self.tolerance)
 
 
@@ -58,7 +57,6 @@ class IndexFeedback(FeedbackPart):
     tolerance: Tolerance = 0.1
 
     def sensor(self) -> Index:
-        """The sensor for the controller."""
         return Index(self.distance or TURN, self.tolerance)
 
 

@@ -38,8 +38,6 @@ Kind = Literal["vial", "web", "slices"]
 
 @dataclass(frozen=True, eq=False)
 class PrintJob:
-    """A job for a rig."""
-
     kind: Kind
     path: str
     shape: tuple[int, int]  # rows and columns of its frames

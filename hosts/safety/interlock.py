@@ -117,7 +117,6 @@ class Lease:
         self.keep(force=True)
 
     def beat(self) -> None:
-        """Renew the lease."""
         self._sign = self._clock.now()
 
     def keep(self, force: bool = False) -> bool:

@@ -126,5 +126,4 @@ class HdmiTiming:
 
     @property
     def slot_rate(self) -> Fraction:
-        """Frames per second."""
         return exact("refresh [1/s]", self.refresh) * self.patterns

@@ -147,7 +147,7 @@ def _spread(axis: Axes, doses: dict[str, np.ndarray], fractions: np.ndarray, nea
             share = np.histogram(dose[chosen], edges)[0] / chosen.sum()
             axis.step(edges[:-1], share, line, where="post", color=HUES[name],
                       label=LABELS[name] if inside else None)  # fmt: skip
-    axis.axvline(1.0, color=style.INK, lw=1)
+    axis.axvline(1.0, ymax=0.88, color=style.INK, lw=1)
     axis.legend(loc="upper left", ncols=3)
-    axis.set(yscale="log", xlim=(-0.25, 2), ylim=(1e-4, 1), xlabel="effective dose", ylabel="share of voxels",
+    axis.set(yscale="log", xlim=(-0.3, 1.8), ylim=(1e-4, 1), xlabel="effective dose", ylabel="share of voxels",
              title="Voxels in the part (lines) and out of it (dots)")  # fmt: skip

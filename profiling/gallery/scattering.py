@@ -29,8 +29,8 @@ def scattering(
     A = vam.Projection(
         vam.Grid(part.shape, PITCH), vam.Beam((64, 1), PITCH), vam.Turntable(120, lit_share=0.0), vial, device
     )
-    S = vam.ScatteringRings(A, resin, photons=2_000_000 if quick else 30_000_000, tolerance=0.05 if quick else 0.01)
-    method, count = vam.SurfaceRamp(width=0.5, outside=0.83, inside=0.85), 20 if quick else int(evaluations)
+    S = vam.ScatteringRings(A, resin, photons=500_000 if quick else 30_000_000, tolerance=0.1 if quick else 0.01)
+    method, count = vam.SurfaceRamp(width=0.5, outside=0.83, inside=0.85), 8 if quick else int(evaluations)
     lights = {
         name: vam.optimize(operator, part, method, evaluations=count, progress=False)
         for name, operator in (("ignored", vam.RingProjection.of(A)), ("corrected", S))

@@ -43,7 +43,7 @@ def webs(
 
     job = Stream(
         drifting, roller, roller.beam(pitch, 2), length=length, core=1.0,
-        pitch=(roller.advance, THICKNESS / layers, pitch), section=(layers, 2), iterations=8 if quick else 100,
+        pitch=(roller.advance, THICKNESS / layers, pitch), section=(layers, 2), iterations=4 if quick else 100,
         device=device,
     )  # fmt: skip
     whole, scale = _light(replace(job, core=12.0))

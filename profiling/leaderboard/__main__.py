@@ -3,7 +3,8 @@
     python -m profiling.leaderboard --parts boat gear --vials matched air
     python -m profiling.leaderboard --parts               # only the page, from the record and the pictures in `out`
 
-What the record already has is not run again. With --judge-again, the frames in `out` are judged again.
+What the record already has is not run again. With --judge-again, the frames in `out` are judged again. With --again,
+entries solve again as well, for example `--entries ours ours-limited --again` after a change of the default.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from profiling.common import HERE, machine, write_record
 from profiling.leaderboard import page
 from profiling.leaderboard.cases import VIALS, make
-from profiling.leaderboard.entries import ENTRIES
+from profiling.leaderboard.entries import ENTRIES, RESULT
 from profiling.leaderboard.judge import Exposure, Setup, read_frames
 from profiling.leaderboard.parts import PARTS
 from profiling.leaderboard.scores import Part, read_stl, scores
@@ -32,14 +33,16 @@ ROUNDS = 3
 class Judged:
     """A case, whose entries are judged one after the other."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.setup = folder, Setup.load(folder / "judge.toml")
+    def __init__(self, folder: Path, again: bool = False) -> None:
+        self.folder, self.setup, self.again = folder, Setup.load(folder / "judge.toml"), again
         shape = json.loads((folder / "frames.json").read_text(encoding="utf-8"))
         self.exposure = Exposure(self.setup, (shape["angles"], shape["columns"], shape["rows"]))
         self.part = Part(self.exposure, read_stl(self.setup.part))
 
     def solved(self, entry: str, place: str, options: tuple[str, ...] = ()) -> dict[str, Any]:
         """Facts and scores of an entry that solves the case in a folder, with a picture of its worst place there."""
+        if self.again:
+            (self.folder / place / RESULT).unlink(missing_ok=True)
         facts = ENTRIES[entry].run(self.folder, self.folder / place, options)
         if "missing" in facts:
             return facts
@@ -56,13 +59,13 @@ def run(args: argparse.Namespace, record: dict[str, Any]) -> None:
         for part in args.parts:
             name = f"{part}, {vial}"
             folder = make(args.work / name.replace(", ", "-").replace(" ", "-"), part, vial, args.size, args.angles)
-            judged = Judged(folder)
+            judged = Judged(folder, args.again)
             case = record["cases"].setdefault(name, {"frames": list(judged.exposure.shape), "entries": {}})
             case |= {"judge_voxels": list(judged.part.solid.shape), "counts": vars(judged.part.counts),
                      "pixel_mm": judged.part.pixel}  # fmt: skip
             for entry in sorted(args.entries, key=page.LIMITED.__eq__):  # it needs the results of the others
                 for seconds in args.seconds if entry != page.LIMITED else [0.0]:
-                    _run(judged, entry, seconds, case, args.judge_again)
+                    _run(judged, entry, seconds, case, args.judge_again or args.again)
                     write_record(args.records, f"leaderboard-{args.label}", record)
 
 
@@ -104,6 +107,7 @@ def main() -> None:
         "--seconds", nargs="+", type=float, default=[0.0], help="processor seconds; 0: each as documented"
     )
     parser.add_argument("--judge-again", action="store_true")
+    parser.add_argument("--again", action="store_true", help="solve again, too")
     parser.add_argument("--size", type=float, default=SIZE, help="pixels in the resin that make a part's radius")
     parser.add_argument("--angles", type=int, default=ANGLES)
     parser.add_argument("--work", type=Path, default=Path("out/leaderboard"), help="folder for cases and frames")

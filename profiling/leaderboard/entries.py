@@ -16,6 +16,8 @@ PEERS = Path(os.environ.get("VAM_LEADERBOARD", ".peers"))
 """Folder of the environments that peers/leaderboard.sh makes."""
 CORES = 2
 """Threads of every entry."""
+RESULT = "result.json"
+"""File of a finished run, in its folder."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class Entry:
 
         An earlier run in the same folder is not repeated.
         """
-        if (out / "result.json").exists():
-            return json.loads((out / "result.json").read_text(encoding="utf-8"))
+        if (out / RESULT).exists():
+            return json.loads((out / RESULT).read_text(encoding="utf-8"))
         python = str(PEERS / self.home / "bin" / "python") if self.home else sys.executable
         script = [str(HERE / "peers" / self.script)] if self.home else ["-m", self.script]
         command = [python, *script, str(case), str(out), "--method", self.method, *options]
@@ -62,7 +64,7 @@ class Entry:
             return {"missing": (out / "log.txt").read_text(errors="replace").strip().splitlines()[-1:]}
         facts = json.loads((out / "run.json").read_text(encoding="utf-8"))
         facts["whole_s"] = round(used.ru_utime + used.ru_stime, 1)
-        (out / "result.json").write_text(json.dumps(facts), encoding="utf-8")
+        (out / RESULT).write_text(json.dumps(facts), encoding="utf-8")
         return facts
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from vamgpu.quantity import counted
 from vamgpu.reports import style
 
 OURS, LIMITED = "ours", "ours-limited"
+PLACES = {"matched": "in a matched vial", "air": "in air", "square": "in a square vial"}
 DOCUMENTED = "0"
 REMARKS = HERE / "leaderboard" / "remarks.md"
 """What is known about the reasons; it is read by people, and written by them."""
@@ -79,24 +81,66 @@ def write(docs: Path, record: dict[str, Any], work: Path) -> None:
 
 
 def _head(record: dict[str, Any]) -> str:
-    return (HERE / "leaderboard" / "head.md").read_text(encoding="utf-8").strip().replace(
-        "{cases}", f"{len(record['cases'])}").replace("{size}", f"{2 * record['size']:.0f}")  # fmt: skip
+    """The words of head.md around what the record says: counts, spans, and the cases in which the default is behind."""
+    text = (HERE / "leaderboard" / "head.md").read_text(encoding="utf-8").strip()
+    known = {"cases": f"{len(record['cases'])}", "size": f"{2 * record['size']:.0f}", "spans": _spans(record)}
+    for score in SCORES:
+        gaps = {name: gap for name, (gap, _) in _gaps(record, OURS, score).items()}
+        known[f"ahead {score}"] = f"{sum(gap < -ALIKE for gap in gaps.values())} of {counted(len(gaps), 'case')}"
+        known[f"behind {score}"] = _places([name for name, gap in gaps.items() if gap > ALIKE])
+    return re.sub(r"\{([^{}]+)\}", lambda found: known[found[1]], text)
+
+
+def _places(cases: list[str]) -> str:
+    """Parts by vial, as in "boat and gear in air"."""
+    found = []
+    for vial in VIALS:
+        parts = [name.split(", ")[0] for name in cases if name.endswith(f", {vial}")]
+        if parts:
+            found.append(f"{' and '.join(filter(None, [', '.join(parts[:-1]), parts[-1]]))} {PLACES[vial]}")
+    return "; ".join(found) or "nowhere"
+
+
+def _spans(record: dict[str, Any]) -> str:
+    """For each vial, the least and greatest surface error and exposure of the default and of the best other program."""
+    rows = [
+        "| vial | parts | surface [µm] | best other [µm] | exposure [s] | soonest other [s] |",
+        "|---|--:|--:|--:|--:|--:|",
+    ]
+    for vial in VIALS:
+        cases = [case for name, case in record["cases"].items() if name.endswith(f", {vial}")]
+        cells = []
+        for score in ("rms_um", "seconds"):
+            found = [_measured(case, DOCUMENTED, score) for case in cases]
+            ours = [each[OURS] for each in found if OURS in each]
+            others = [min(homes) for each in found if (homes := [each[name] for name in each if ENTRIES[name].home])]
+            cells += [
+                " to ".join(_cell(score, end(values, default=None)) for end in (min, max)) for values in (ours, others)
+            ]
+        rows += [f"| {PLACES[vial]} | {len(cases)} | {' | '.join(cells)} |"] if cases else []
+    return "\n".join(rows)
+
+
+def _gaps(record: dict[str, Any], entry: str, score: str) -> dict[str, tuple[float, str]]:
+    """For each case, how far an entry of ours is behind the best other program, relatively, and who that is."""
+    gaps, sign = {}, SCORES[score][2]
+    for name, case in record["cases"].items():
+        found = _measured(case, DOCUMENTED, score)
+        best = min((each for each in found if ENTRIES[each].home), key=lambda each: sign * found[each], default="")
+        if best and entry in found:
+            gap = sign * (found[entry] - found[best]) / max(abs(found[entry]), abs(found[best]), 1e-9)
+            values = f"{_cell(score, found[best])}, ours {_cell(score, found[entry])}"
+            gaps[name] = (gap, f"{name}: {ENTRIES[best].label} {values}")
+    return gaps
 
 
 def _standing(record: dict[str, Any], entry: str) -> str:
     """In how many cases an entry of ours is ahead of every other program, and where it is farthest behind."""
-    cases = {name: case for name, case in record["cases"].items() if _measured(case, DOCUMENTED, "rms_um").get(entry)}
+    cases = [name for name, case in record["cases"].items() if entry in _measured(case, DOCUMENTED, "rms_um")]
     rows = [f"| {ENTRIES[entry].label}, {counted(len(cases), 'case')} | ahead | alike | behind | farthest behind |",
             "|---|--:|--:|--:|---|"]  # fmt: skip
-    for score, (title, _, sign) in SCORES.items():
-        gaps: list[tuple[float, str]] = []
-        for name, case in cases.items():
-            found = _measured(case, DOCUMENTED, score)
-            best = min((each for each in found if ENTRIES[each].home), key=lambda each: sign * found[each], default="")
-            if best and entry in found:
-                gap = sign * (found[entry] - found[best]) / max(abs(found[entry]), abs(found[best]), 1e-9)
-                values = f"{_cell(score, found[best])}, ours {_cell(score, found[entry])}"
-                gaps.append((gap, f"{name}: {ENTRIES[best].label} {values}"))
+    for score, (title, _, _) in SCORES.items():
+        gaps = list(_gaps(record, entry, score).values())
         ahead, behind = (sum(side * gap > ALIKE for gap, _ in gaps) for side in (-1, 1))
         text = max(gaps)[1] if behind else ""
         rows.append(f"| {title} | {ahead} | {len(gaps) - ahead - behind} | {behind} | {text} |")
@@ -134,13 +178,14 @@ def _table(case: dict[str, Any], key: str, timed: bool = False) -> str:
 
 
 def _picture(docs: Path, name: str, case: dict[str, Any], work: Path) -> str:
-    """Draw the slice of each entry with its worst voxel, if one is newer; "" where there is none."""
+    """Draw the slice of each entry with its worst voxel, if one is newer and none is lacking; "" without any."""
     kept = [entry for entry in ENTRIES if entry in case["entries"] and (work / entry / "worst.npz").exists()]
     path = f"compared-{work.name}.png"
     if not kept:
         return path if (docs / path).exists() else ""
     newest = max((work / entry / "worst.npz").stat().st_mtime for entry in kept)
-    if (docs / path).exists() and (docs / path).stat().st_mtime > newest:
+    lacking = set(case["entries"]) - set(kept) - {LIMITED}  # its slice is the default's where the default is as soon
+    if (docs / path).exists() and (lacking or (docs / path).stat().st_mtime > newest):
         return path
     wide = min(3, len(kept))
     letters = [[chr(97 + k) if (k := row * wide + at) < len(kept) else "." for at in range(wide)]

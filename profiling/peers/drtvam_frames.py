@@ -20,7 +20,7 @@ from profiling.leaderboard.judge import RoundVial
 
 USUAL = {"default": 40, "surface-aware": 40}
 VOXELS = 1.0
-"""Voxels of its sensor along a pixel in the resin."""
+"""Voxels of its sensor along a pixel in the resin; they are cubes, also where a lens widens the rows."""
 
 
 def configuration(case: Case, method: str, iterations: int, folder: Path) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def configuration(case: Case, method: str, iterations: int, folder: Path) -> dic
     if vial.resin_index == vial.wall_index == vial.bath_index:
         container = {"type": "index_matched", "r": vial.inner, "medium": medium}
     film = {"type": "vfilm", "resx": round(VOXELS * columns), "resy": round(VOXELS * columns),
-            "resz": round(VOXELS * rows)}  # fmt: skip
+            "resz": round(VOXELS * high / setup.pixel)}  # fmt: skip
     sensor = {"type": "dda", "scalex": wide, "scaley": wide, "scalez": high, "film": film}
     facts: dict[str, Any] = {
         "vial": container,

@@ -372,7 +372,7 @@ def dark_loss(v: SimpleNamespace) -> float:
 BAND = {"low": 0.3, "high": 0.8, "slack_low": 0.05, "slack_high": 0.12, "gain_low": 0.7, "gain_high": 1.5, "reach": 1.0}
 OF_DOSE = {"dose": (0.0, 1.2), "target": (0.0, 1.0), "weight": (0.0, 2.0), "response": SAMPLES}
 SAMPLED = {"outer": SAMPLES, "inner": SAMPLES[::-1] ** 2}
-RAMP = {"outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 1.0, "hold": 0}
+RAMP: dict[str, float] = {"outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 1.0, "hold": 0}
 LOSSES: dict[str, Case] = {
     "band, cubic": Case(
         loss.band_loss, band_loss, BAND | CURVE | {"power": 3.0, "ridge": 0.2, "weighted": 1, "binary": 0}, OF_DOSE

@@ -89,7 +89,7 @@ def test_rings_are_tried_with_their_own_tables(monkeypatch: pytest.MonkeyPatch) 
     assert 0.8 < GramInverse(A, reach_of(grid)).pace <= 1.0
 
 
-@pytest.mark.parametrize("angles", [ANGLES, 23, 500], ids=["one pass", "one long pass", "several passes"])
+@pytest.mark.parametrize("angles", [ANGLES, 23, 250], ids=["one pass", "one long pass", "several passes"])
 def test_it_may_take_the_place_of_its_light(device: Device, angles: int) -> None:
     grid, beam = vam.Grid((N, N, 2), 0.1), vam.Beam((COLUMNS, 2), 0.1, spread=0.08)
     A = vam.Projection(grid, beam, vam.Turntable(angles), None, device)

@@ -53,8 +53,8 @@ def launched(queue: Any, sources: Path, kernel: Kernel, given: dict[str, Any], f
     assert tiling is not None
     defined = {"LANES": LANES, "WIDTH": 4, "THREADS": LANES // 4, "VECTORS": 1, "TILE_SLABS": 1}
     defined |= {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor} | kernel.constants["nvidia"]
-    options = ["-cl-std=CL2.0", f"-I{sources}", "-DGPU", "-DMATRIX_UNITS", f"-DCOMPILE_{kernel.name}"]
-    options += [f"-D{name}={value}" for name, value in defined.items()]
+    options = ["-cl-std=CL2.0", f"-I{sources}", "-DGPU", "-DMATRIX_UNITS", "-cl-opt-disable"]
+    options += [f"-DCOMPILE_{kernel.name}", *(f"-D{name}={value}" for name, value in defined.items())]
     program = cl.Program(queue.context, (sources / kernel.source.name).read_text()).build(options)
     stored = {name: laid(value) if name in fields else value for name, value in given.items()}
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR

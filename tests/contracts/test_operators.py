@@ -87,7 +87,7 @@ def test_spaces_and_identities(device: Device) -> None:
     A = operator("straight", device)
     assert A.T.T is A
     assert A.domain.shape == (9, 7, 3) and A.range.shape == (7, 11, 3)
-    assert np.allclose(A.range.angles, 2 * np.pi * np.arange(7) / 7)
+    assert np.allclose(A.motion.poses, 2 * np.pi * np.arange(7) / 7)
     assert A.T.domain is A.range and A.T.range is A.domain
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from profiling.leaderboard import entry, page
-from profiling.leaderboard.__main__ import _limited
-from profiling.leaderboard.entries import ENTRIES, Entry
+from profiling.leaderboard import entries, entry, page
+from profiling.leaderboard.__main__ import Judged, _limited
+from profiling.leaderboard.entries import ENTRIES, RESULT, Entry
 from profiling.leaderboard.page import SCORES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +45,17 @@ def test_the_page_names_the_case_that_is_farthest_behind(tmp_path: Path) -> None
     assert "| RMS [µm] | 0 | 0 | 2 | gear, air: LEAP, VAM.py 9, ours 12 |" in text
 
 
+def test_the_head_says_where_the_default_is_ahead_and_behind(tmp_path: Path) -> None:
+    each = record({"rms_um": 12.0, "W1": 0.1}, {"rms_um": 15.0, "W1": 0.2})["cases"]["boat, air"]
+    both = record({"rms_um": 9.0, "W1": 0.1, "seconds": 4.0}, {"rms_um": 8.0, "W1": 0.2, "seconds": 3.0})
+    both["cases"] |= {"gear, air": each, "text, air": each, "text, square": each}
+    page.write(tmp_path, both, tmp_path)
+    text = (tmp_path / "compared.md").read_text(encoding="utf-8")
+    assert "most accurate surface (RMS)\nin 3 of 4 cases" in text and "| in air | 3 | 9 to 12 | 8 to 15 |" in text
+    assert "(W(1), below): boat, gear and text in air; text in a square vial\n" in text
+    assert "(latitude): nowhere\n" in text
+
+
 def test_ours_is_solved_again_until_it_is_as_soon_as_the_fastest_program() -> None:
     aims: list[float] = []
 
@@ -59,6 +70,19 @@ def test_ours_is_solved_again_until_it_is_as_soon_as_the_fastest_program() -> No
     assert aims == pytest.approx([5.0, 4.5], rel=1e-3)
     case["entries"]["ours"]["0"]["seconds"] = 4.9
     assert _limited(SimpleNamespace(), case) == {"seconds": 4.9}  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_entry_solves_once_unless_it_is_asked_again(tmp_path: Path, again: bool) -> None:
+    for place in ("leap", "drtvam"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / RESULT).write_text('{"missing": "kept"}')
+    judged = SimpleNamespace(folder=tmp_path, again=again)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(entries, "PEERS", tmp_path / "none")
+        found = Judged.solved(judged, "leap", "leap")  # type: ignore[arg-type]
+    assert (found["missing"] == "kept") is not again
+    assert (tmp_path / "drtvam" / RESULT).exists()
 
 
 def test_an_entry_that_cannot_run_says_why(tmp_path: Path) -> None:

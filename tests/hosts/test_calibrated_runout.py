@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,11 @@ from vamgpu.cli import main
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.calibrate import runout as runout_run
 from vamgpu.hosts.calibrate.connection import rehearsal
-from vamgpu.hosts.calibrate.report import keep
+from vamgpu.hosts.calibrate.report import CalibrationResult, keep
 from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rig import plan
 from vamgpu.hosts.rigs.calibrations import calibration_of
-from vamgpu.hosts.rigs.config import EMULATED, RigConfig, read_rig
+from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig, read_rig
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -26,15 +27,21 @@ TRUTH = Optics(radius=0.0, pin=9.0, seed=2)
 STAGE = EMULATED.replace("[lens]\n", "[clock]\n").replace('[clock]\ndriver = "emulated"', '[clock]\ndriver = "stage"')
 
 
-def measured(rig: RigConfig, truth: Optics = TRUTH) -> dict:
-    machines, _ = rehearsal(rig, runout_run.TABLES, truth)
+@cache
+def found_on(text: str) -> CalibrationResult:
+    """What emulated machines of a rig measure, once for all tests."""
+    machines, _ = rehearsal(parse_rig(text), runout_run.TABLES, TRUTH)
     try:
         found = runout_run.runout(machines, poses=16, repeats=1)
         assert machines.controller is not None and not machines.controller.status().light
     finally:
         machines.close()
-    keep(found, rig)
-    return dict(found.numbers)
+    return found
+
+
+def measured(rig: RigConfig, text: str = STAGE) -> dict:
+    keep(found_on(text), rig)
+    return dict(found_on(text).numbers)
 
 
 def rig_at(folder: Path, text: str = STAGE) -> RigConfig:
@@ -87,7 +94,7 @@ def test_a_print_follows_the_vial(tmp_path: Path, flip_r: bool, flip_z: bool) ->
 @pytest.mark.slow
 def test_prints_that_do_not_know_the_angle_say_so(tmp_path: Path) -> None:
     rig = rig_at(tmp_path, EMULATED)
-    measured(rig)
+    measured(rig, EMULATED)
     found = calibration_of(rig)
     (note,) = found.notes
     assert "center the vial" in note and "2.7 columns" in note

@@ -59,14 +59,15 @@ def test_a_job_is_solved_and_proved(tmp_path: Path) -> None:
     light = proof.frames.irradiance(A.device)
     own = np.abs(A.T(light).numpy() - proof.dose.numpy())[A.grid.cylinder()].max()
     assert own == pytest.approx(proof.difference * proof.scores.peak, rel=1e-5)
-    assert any("latitudes scale the effective dose" in what for what in proof.verdict.not_judged)
+    assert any("the latitude is that of the effective dose" in what for what in proof.verdict.not_judged)
     coarse = prove(tmp_path / "boat.vam", coarse=True).proof
     assert not coarse.independent and np.array_equal(coarse.dose.numpy(), A.T(light).numpy())
     # a full-on pixel at that irradiance gives in all turns what the patterns ask for
     unit = proof.exposure.irradiance * A.beam.pixel_area / A.grid.voxel_volume * 27.0 / 24 / 0.05
     assert unit == pytest.approx(proof.frames.scale, rel=1e-6)
+    assert proof.verdict.prints == ("the effective dose may be" in proof.verdict.sentence)
     page = proven.report(tmp_path / "boat.html").read_text(encoding="utf-8")
-    assert "oxygen left" in page and "After 3 turns of 9 s" in page
+    assert "oxygen left" in page and "effective dose latitude" in page and "After 3 turns of 9 s" in page
     with pytest.raises(BadInput, match="without --bound and --off"):
         prove(tmp_path / "boat.vam", evaluations=4)
 

@@ -60,7 +60,7 @@ def proved(plan: vam.Plan, frames: vam.Frames) -> float:
 
 @pytest.mark.slow
 def test_most_of_the_window_is_left() -> None:
-    plan = plan_on(vam.open_device(None), angles=360)
+    plan = plan_on(vam.open_device(None), angles=240)
     diffused, fitted = (vam.pack(plan, bits=1, dither=how) for how in ("error-diffusion", "fit"))
     assert plan.window > 0.15 and proved(plan, diffused) < 0.8 * plan.window
     assert proved(plan, fitted) > plan.window - 0.02

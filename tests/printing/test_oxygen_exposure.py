@@ -75,15 +75,15 @@ def by_radau(model: OxygenModel, light: np.ndarray, f: int) -> np.ndarray:
 
 
 def test_an_exposure_agrees_with_radau(fast_device: Device) -> None:
-    """Uneven oxygen within a wall; so does the solver, whose wall is that of the resin."""
+    """Uneven oxygen within a wall; so does the solver, whose wall is that of the resin, on voxels a pixel wide."""
     A = operator((12, 12, 1), (12, 1), fast_device, radius=0.55)
-    used = np.random.default_rng(7).uniform(0.0, 0.5, (12, 12, 1))
+    used = np.broadcast_to(np.linspace(0.1, 0.5, 12)[:, None, None], (12, 12, 1))
     model, light = OxygenModel(A, Oxygen(2e-3, 1, 18.0, used, runs=16, floor=FLOOR)), lit(A, 1.6)
     exact, near = by_radau(model, light, 2), np.hypot(*np.meshgrid(*A.grid.axes()[:2])) < 0.4
     most = exact[near].max()
     assert np.abs(proved(model, light) - exact)[near].max() <= 0.003 * most
-    assert np.abs(np.asarray(model.T(light)) - exact)[near].max() <= 0.01 * most
-    assert np.abs(np.asarray(A.T(light)) + used - exact)[near].max() > 0.1 * most
+    assert np.abs(np.asarray(model.T(light)) - exact)[near].max() <= 0.005 * most
+    assert np.abs(np.asarray(A.T(light)) + used - exact)[near].max() > 0.04 * most
 
 
 def test_oxygen_comes_from_air_and_from_resin_beside_the_grid(fast_device: Device) -> None:
@@ -174,4 +174,4 @@ def test_a_wrong_solver_is_found(fast_device: Device, monkeypatch: pytest.Monkey
     lines = {line.name: line for line in proof.lines()}
     gap = float(lines["dose by the solver"].value)
     assert gap == pytest.approx(proof.difference, rel=0.01)
-    assert gap > 0.01 if mutate else gap <= 0.007
+    assert gap > 0.01 if mutate else gap <= 0.0055

@@ -19,7 +19,7 @@ from vamgpu.operators.projection import prepared
 from vamgpu.optics.beams import Misaligned
 from vamgpu.printing import summary
 from vamgpu.printing.judgement import judged
-from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced
+from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded_and_displaced
 from vamgpu.printing.simulate import simulate
 from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable, _closed_in, tolerance_table
 
@@ -126,7 +126,7 @@ def test_a_voxel_that_prints_outside_is_found_as_well(printed: Print) -> None:
     table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=at, scenarios=(AXIS,))
     for first in table.limits(AXIS.name):
         before, beyond = (
-            score(printed.dose(displaced(printed.A, k * first.amount)), printed.fraction, threshold=at)
+            score(printed.dose(clouded_and_displaced(printed.A, 0.0, k * first.amount)), printed.fraction, threshold=at)
             for k in (0.85, 1.15)
         )
         assert before.excess == 0 < beyond.excess and before.missing == 0
@@ -200,7 +200,7 @@ def off_by(limit: float) -> Scenario:
     def off(A: Projection, amount: float) -> tuple[Beam, Any]:
         if not 0 <= amount <= limit:
             raise BadInput(f"{amount:g} is too far")
-        return A.beam, displaced(A, amount).vessel
+        return A.beam, clouded_and_displaced(A, 0.0, amount).vessel
 
     return Scenario("axis", "pixel", (-0.1, 0.01, 0.02, 0.5), 2.0, off)
 
@@ -266,7 +266,7 @@ def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(prin
     table = tolerance_table(Other(), printed.light, printed.fraction)  # type: ignore[arg-type]
     notes = {row.name: row.note for row in table.rows}
     assert notes.pop("dose") == "" and table.exposures == 1 and len(table.first_wrong) == 2
-    assert set(notes.values()) == {"Other cannot be varied; only a plain Projection can"}
+    assert set(notes.values()) == {"got Other; expected a Projection, whose light no insert or medium bends"}
 
 
 def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
@@ -284,11 +284,12 @@ def test_scenarios_change_one_thing() -> None:
     assert vessel == VIAL
     assert soft.sigma == pytest.approx(0.75) and soft.pixels == BEAM.pixels
     assert softer(Projection(GRID, soft, Turntable(4), VIAL, "numpy"), 0.5)[0].sigma == pytest.approx(1.25)
-    assert off_axis(A, 0.5) == (BEAM, displaced(A, 0.5).vessel) and denser(A, 0.1) == (BEAM, clouded(A, 0.1).vessel)
+    aside = clouded_and_displaced(A, 0.0, 0.5)
+    assert off_axis(A, 0.5) == (BEAM, aside.vessel) and denser(A, 0.1)[1].absorption == pytest.approx(0.22)
     assert replace(BEAM, spread=0.1).sigma == pytest.approx(0.5)
-    assert displaced(displaced(A, 0.5), -0.25).vessel == Misaligned(VIAL, 0.05)
-    thin = clouded(displaced(A, 0.5), -0.1).vessel
+    assert clouded_and_displaced(aside, 0.0, -0.25).vessel == Misaligned(VIAL, 0.05)
+    thin = clouded_and_displaced(aside, -0.1, 0.0).vessel
     assert isinstance(thin, Misaligned) and thin.offset == pytest.approx(0.1) and thin.absorption == pytest.approx(0.18)
     with pytest.raises(BadInput, match="without absorption"):
-        clouded(Projection(GRID, BEAM, Turntable(4), device="numpy"), 0.1)
+        clouded_and_displaced(Projection(GRID, BEAM, Turntable(4), device="numpy"), 0.1, 0.0)
     assert Scenario("x", "%", (-0.1, 0.1), 0.5, None).written(-0.05) == "−5 %"

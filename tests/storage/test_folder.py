@@ -20,9 +20,10 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage import folder as module
-from vamgpu.storage.arrays import shard_length
+from vamgpu.storage.arrays import create, shard_length
 from vamgpu.storage.atomic import clear
 from vamgpu.storage.folder import Entry, Folder, write_folder
+from vamgpu.storage.shards import LEVEL
 
 FRAMES = np.random.default_rng(0).integers(0, 256, (7, 30, 40), np.uint8)
 
@@ -51,6 +52,23 @@ def test_arrays_come_from_devices(device: Device, tmp_path: Path) -> None:
     job = write_folder(tmp_path / "a.vam", {"light": entry}, inputs={}, details={}, device=device.name)
     assert np.array_equal(job.array("light"), light)
     assert job.record("light").unit == "mW/mm²" and job.record("light").axes == ("angle", "r", "z")
+
+
+@pytest.mark.parametrize("kind", ["uint8", "float32", "bool"])
+def test_a_header_is_that_which_zarr_writes(tmp_path: Path, kind: str) -> None:
+    import zarr
+    from zarr.codecs import ZstdCodec
+
+    shape, shards, axes = (700, 3, 4), (512, 3, 4), ("angle", "row", "column")
+    (tmp_path / "own").mkdir()
+    create(tmp_path / "own", "frames", shape, np.dtype(kind), shards, axes)
+    zarr.open_group(tmp_path / "theirs", mode="a", zarr_format=3).create_array(
+        "frames", shape=shape, dtype=kind, chunks=(1, 3, 4), shards=shards, dimension_names=axes,
+        compressors=ZstdCodec(level=LEVEL, checksum=True),
+    )  # fmt: skip
+    for header in ("zarr.json", "frames/zarr.json"):
+        own, theirs = (json.loads((tmp_path / by / header).read_text("utf-8")) for by in ("own", "theirs"))
+        assert own == theirs
 
 
 def test_frames_are_chunks_and_files_hold_many(tmp_path: Path) -> None:

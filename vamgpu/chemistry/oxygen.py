@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.chemistry.diffusion import Heat
 from vamgpu.chemistry.transport import FACES
 from vamgpu.chemistry.turns import Fields, Turns, copy_all
 from vamgpu.errors import BadInput, ShapeMismatch
@@ -126,7 +127,10 @@ class OxygenModel(Turns, Derived):
         if np.ndim(oxygen.used) and np.shape(oxygen.used) != (shape if np.ndim(oxygen.used) == 3 else shape[2:]):
             raise ShapeMismatch(f"the oxygen that is used up has shape {np.shape(oxygen.used)}; expected {shape} = "
                                 f"[x, y, z], or {shape[2:]}")  # fmt: skip
-        self._exposed = False
+        self._exposed, heat, edge = False, self._heats[0], A.grid.pitch
+        kinds = () if heat is None else tuple((side * edge**2 / 24.0, air) for side in (-1, 1) for air in (True, False))
+        self._centers: list[Heat] = [heat.of(*kind) for kind in kinds if heat is not None]
+        self._inward = self._centers[1] if kinds else None
 
     def __repr__(self) -> str:
         return f"OxygenModel({self.operator!r}, {self.oxygen!r})"
@@ -135,14 +139,21 @@ class OxygenModel(Turns, Derived):
         if not self._exposed:
             self.operator.forward(x, out)
             return
-        slopes = self._volumes(1)
-        copy_all((x,), slopes)
-        copy_all(self._back(slopes, x), (out,))
+        slope, last = slopes = self._volumes(2)
+        copy_all((x, x), slopes)
+        self._average(slopes, back=True)
+        copy_all(self._back((slope,), last), (out,))
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         used, cured = self._through((y,))
         self._exposed = True
+        self._average((used, cured))
         combine(1.0, used, 1.0, cured, out)
+
+    def _average(self, fields: Fields, back: bool = False) -> None:
+        """Means over voxels of used oxygen and X at their centers; ``back``: the transpose."""
+        for field, heat in zip(fields, self._centers[2:], strict=False):
+            heat.spread(field, back)
 
     def forget(self) -> None:
         """Forget exposed patterns: derivatives are those of the plain dose until others are exposed."""
@@ -153,7 +164,8 @@ class OxygenModel(Turns, Derived):
 
         Args:
             light: Patterns [angle, r, z] of the whole exposure.
-            each: Gets the time [s] and the fields after every run of angles; they change afterwards.
+            each: Gets the time [s] and the fields after every run of angles, at the centers of voxels; they change
+                afterwards.
 
         Returns:
             The fields.
@@ -165,7 +177,9 @@ class OxygenModel(Turns, Derived):
             assert each is not None
             each(min((number + late) * seconds, self.oxygen.seconds), OxygenFields(*fields))
 
-        return OxygenFields(*self._through((self.device.field(light),), told if each else None))
+        fields = OxygenFields(*self._through((self.device.field(light),), told if each else None))
+        self._average(fields)
+        return fields._replace(used=self.device.upload(np.clip(fields.used.numpy(), 0.0, 1.0)))
 
     def gel_times(self, light: Any, threshold: float = 1.0) -> np.ndarray:
         """Compute when the resin of every voxel solidifies.
@@ -192,6 +206,8 @@ class OxygenModel(Turns, Derived):
 
     def _start(self) -> Fields:
         used = self.device.upload(np.broadcast_to(np.asarray(self.oxygen.used, np.float64), self._shape))
+        for heat in self._centers[:1]:
+            heat.spread(used)
         return used, self.device.upload(np.zeros(self._shape, np.float32))
 
     def _react(self, dose: Fields, share: float, before: Fields, after: Fields) -> None:

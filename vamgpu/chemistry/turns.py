@@ -54,6 +54,7 @@ class Turns(ABC):
             for D, faces in zip(self.diffusivities, (air, *[()] * len(self.diffusivities)), strict=False)
         ]
         self._halved: bool = any(self.diffusivities)
+        self._inward: Heat | None = None  # from means over voxels to values at their centers, for light
         self._doses: list[Fields] = []  # of the runs, then, with diffusion, the means of every run and the next one
         self._starts: list[Fields] = []
         self._path: list[Fields] = []
@@ -177,6 +178,8 @@ class Turns(ABC):
                 slope = by_dose[run][color]
                 for mean in (means[run], means[run - 1]) if means else ():
                     combine(1.0, slope, 0.5, mean[color], slope)
+                if self._inward is not None:
+                    self._inward.spread(slope, back=True)
                 runs.project(run, slope, light)
         return found
 
@@ -188,6 +191,8 @@ class Turns(ABC):
         for run in range(count):
             for runs, part, dose in zip(self.runs, light, self._doses[run], strict=True):
                 runs.expose(run, part, dose)
+                if self._inward is not None:
+                    self._inward.spread(dose)
         for run, means in enumerate(self._doses[count:]):
             for mean, one, other in zip(means, self._doses[run], self._doses[(run + 1) % count], strict=True):
                 combine(0.5, one, 0.5, other, mean)

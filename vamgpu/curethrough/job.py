@@ -22,7 +22,7 @@ from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
 from vamgpu.errors import SliceWarning
 from vamgpu.kernels.curethrough import BITS
-from vamgpu.metrics.line import length
+from vamgpu.reports.line import length
 
 GRAY_PER_DOSE = 51  # number of gray levels per critical dose in pictures of the dose: white is five critical doses
 LACKING = 0.1

@@ -10,8 +10,8 @@ from vamgpu.curethrough.feasibility import fastest
 from vamgpu.curethrough.job import LACKING, Outcome
 from vamgpu.curethrough.printer import Printer
 from vamgpu.curethrough.score import Group, grouped
-from vamgpu.metrics.line import length
-from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Table
+from vamgpu.reports.line import Line, length
+from vamgpu.reports.page import Card, Chart, Images, Legend, Page, Papers, Table
 from vamgpu.units import hour, mJ_cm3, mW_cm2
 
 PAPER = (
@@ -52,7 +52,7 @@ def page_of(outcome: Outcome, title: str) -> Page:
         title,
         said,
         good,
-        [Figure(value, name) for name, value, _ in lines(outcome)][:7],
+        [Line(name, value) for name, value, _ in lines(outcome)][:7],
         [
             Card("Columns", Chart(pictures.columns_chart(outcome)), note=COLUMNS_NOTE, wide=True),
             Card("Cross-sections", *sections, Legend(f"{pictures.MOST_DOSE:g} critical doses"),

@@ -94,8 +94,6 @@ def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of a job and its time."""
-
     name: str  # name of the stage, as in a progress bar
     seconds: float
     least: float | None = None  # least time for its bytes at the device's bandwidth [s]; None if they are not counted

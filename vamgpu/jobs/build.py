@@ -67,10 +67,10 @@ def target_of(job: Job, device: Device) -> Target:
     part = Target.from_mesh(source, orientation=section.orientation, **size, **given)
     if not below + above:
         return part
-    (nx, ny, nz), solid, up = part.grid.shape, part.solid, np.array([0.0, 0.0, raised(job.file)])
+    (nx, ny, nz), solid, up = part.grid.shape, part.solid, raised(job.file)
     grid = Grid((nx, ny, nz + below + above), pitch)
-    return replace(part, grid=grid, fraction=part.resampled(grid, -up, device), solid=solid and solid.translated(up),
-                   height=part.height + 2.0 * float(abs(up[2])))  # fmt: skip
+    return replace(part, grid=grid, fraction=part.resampled(grid, (0.0, 0.0, -up), device),
+                   solid=solid and solid.translated((0.0, 0.0, up)), height=part.height + 2.0 * abs(up))  # fmt: skip
 
 
 def room_of(file: JobFile) -> tuple[int, int]:
@@ -79,7 +79,7 @@ def room_of(file: JobFile) -> tuple[int, int]:
     if oxygen is None:
         return 0, 0
     room = ceil(oxygen.reach / pitch_of(file))
-    return tuple(0 if f"z {end}" in oxygen.air else room for end in ("low", "high"))
+    return 0 if "z low" in oxygen.air else room, 0 if "z high" in oxygen.air else room
 
 
 def raised(file: JobFile) -> float:

@@ -115,7 +115,6 @@ def bare(key: str) -> str:
 
 
 def toml_of(value: Any) -> str:
-    """A value in TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{bare(key)} = {toml_of(part)}" for key, part in value.items()) + " }"
     return f"[{', '.join(map(toml_of, value))}]" if isinstance(value, list) else json.dumps(value, ensure_ascii=False)

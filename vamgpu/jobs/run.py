@@ -81,8 +81,6 @@ StageProgress = Callable[[str, float], None]  # receives progress: the stage, an
 
 @dataclass(frozen=True, eq=False)
 class Proven:
-    """A proof and the record of its plan."""
-
     proof: Proof
     plan: PlanRecord
 

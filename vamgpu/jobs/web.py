@@ -179,7 +179,6 @@ def stream_of(job: WebJob) -> Stream:
 
 
 def target_of(job: WebJob) -> Any:
-    """Target of a stream."""
     section = job.file.target
     if section.lattice is not None:
         return _lattice(section)

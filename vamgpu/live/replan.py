@@ -171,7 +171,7 @@ class Replanner:
             stopped: Dose so far if no turn follows, [x, y, z]; None for that delivered.
 
         Returns:
-            The light found, or the plan's own if its surface is no farther off.
+            The light found, [angle, r, z], or the plan's own if its surface is no farther off.
 
         Raises:
             BadInput: A dose or light is not a number, or there are no turns.

@@ -14,7 +14,8 @@ from vamgpu.live.printer import Truth
 from vamgpu.live.record import LiveRecord, LiveSetup, budget
 from vamgpu.quantity import counted
 from vamgpu.reports import chart
-from vamgpu.reports.page import Card, Chart, Figure, Image, Images, Page, Table
+from vamgpu.reports.line import Line
+from vamgpu.reports.page import Card, Chart, Image, Images, Page, Table
 
 SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "inhibitor", "turbidity",
          "sinking")  # fmt: skip
@@ -40,15 +41,15 @@ def page(
     doubted = next((each for each in decisions if each.get("doubt")), None)
     good = bool(found) and last["iou"] > 0.9 and not doubted
     headline = [] if overlaps is None else [
-        Figure(f"{overlaps[1]:.4f}", "overlap, live", "of the print with the part, from independent rays"),
-        Figure(f"{overlaps[0]:.4f}", "overlap, not live", "of the same resin, lit as planned"),
+        Line("overlap, live", f"{overlaps[1]:.4f}", "of the print with the part, from independent rays"),
+        Line("overlap, not live", f"{overlaps[0]:.4f}", "of the same resin, lit as planned"),
     ]  # fmt: skip
     expected = "unknown" if doubted else f"{last['iou']:.4f}"
     tiles = [
-        Figure(str(len(decisions)), "decisions", "one after each turn with images"),
-        Figure(str(swaps), "swaps", "replacements of the remaining light"),
-        Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
-        Figure(expected, "overlap expected", "with the part, at least, from the last estimate"),
+        Line("decisions", str(len(decisions)), "one after each turn with images"),
+        Line("swaps", str(swaps), "replacements of the remaining light"),
+        Line("turns", f"{last['turn'] + 1 + last['turns']}", f"until the light ended; {setup.planned} were planned"),
+        Line("overlap expected", expected, "with the part, at least, from the last estimate"),
     ]
     times = [(stage, f"{median:.3f}", f"{most:.3f}", str(count)) for stage, median, most, count in budget(decisions)]
     cards = [

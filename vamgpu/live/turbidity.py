@@ -9,6 +9,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.schema.quantities import numeric
 
 
 @dataclass(frozen=True)
@@ -42,24 +43,17 @@ class Turbidity:
 
     def __post_init__(self) -> None:
         for name in ("conversion", "extinction", "index"):
-            try:
-                object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
-            except (TypeError, ValueError) as error:
-                raise BadInput(f"{name} is {getattr(self, name)!r}; expected a list of numbers") from error
+            samples = numeric(name, getattr(self, name), axes=(), expected="a list of finite numbers")
+            object.__setattr__(self, name, tuple(samples.ravel().tolist()))
         object.__setattr__(self, "error", positive("relative error of the turbidity", self.error, zero=True))
         for name, samples in (("conversion", self.conversion), ("extinction [1/mm]", self.extinction)):
-            if (
-                len(samples) < 2
-                or samples[0] != 0.0
-                or not (np.diff(samples) > 0).all()
-                or not np.isfinite(samples[-1])
-            ):
+            if len(samples) < 2 or samples[0] != 0.0 or (np.diff(samples) <= 0.0).any():
                 raise BadInput(f"{name} is {list(samples)}; expected at least two numbers, ascending from 0")
         if self.conversion[-1] > 1.0:
             raise BadInput(f"conversion reaches {self.conversion[-1]:g}; expected shares in 0..1")
         lengths = {len(self.conversion), len(self.extinction), len(self.index) or len(self.conversion)}
-        if len(lengths) > 1 or not np.isfinite(self.index).all():
-            raise BadInput(f"{self!r}: expected a finite extinction, and an index or none, for every conversion")
+        if len(lengths) > 1:
+            raise BadInput(f"{self!r}: expected an extinction, and an index or none, for every conversion")
 
     @property
     def full(self) -> float:

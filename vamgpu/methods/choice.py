@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from vamgpu.chemistry.oxygen import OxygenModel
@@ -38,17 +39,20 @@ def chosen(method: str | Method | Loss) -> Method:
     """The method for a name, an instance, or a loss to minimize. Raises `BadInput`."""
     if isinstance(method, Loss):
         return Descent(method)
-    if isinstance(method, str):
-        name = as_known(method, METHODS)
-        if name in METHODS:
-            return METHODS[name]()
-        hint = remedy("method", method, METHODS)
-        raise BadInput(f"no method {method!r}; there are {', '.join(METHODS)}, or give an instance{hint}")
-    if isinstance(method, type) or not hasattr(method, "steps"):
-        raise BadInput(
-            f"got {method!r} as method; expected a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
-        )
-    return method
+    return instance("method", method, METHODS, "a loss, or an instance such as OSMO()")
+
+
+def instance(noun: str, given: Any, known: Mapping[str, Callable[[], Any]], other: str) -> Any:
+    """The default instance of a known name, or an instance with ``steps``. Raises `BadInput`."""
+    if isinstance(given, str):
+        name = as_known(given, known)
+        if name in known:
+            return known[name]()
+        hint = remedy(noun, given, known)
+        raise BadInput(f"no {noun} {given!r}; there are {', '.join(known)}, or give an instance{hint}")
+    if isinstance(given, type) or not hasattr(given, "steps"):
+        raise BadInput(f"got {given!r} as {noun}; expected a name ({', '.join(known)}), {other}")
+    return given
 
 
 def check_bodies(method: Method, limits: Limits) -> None:

@@ -192,16 +192,14 @@ class _Run:
 
     def _balance(self) -> None:
         """Balance light and multipliers by the distance that each moved in the round."""
-        way = {name: self._apart(name) for name in FIELDS[:3]}
+        way = {}
+        for name in FIELDS[:3]:
+            moved = combine(1.0, self.after[name], -1.0, self.memory[f"{name} anchor"], self.memory[name])
+            way[name] = dot(moved, moved)
         primal = way["light"] * self._mean_column()
         dual = (MEAN_ROW + 1.0) * way["lower"] + MEAN_ROW * way["upper"]
         if primal > 0.0 and dual > 0.0:
             self.memory["weight"] = (dual / primal) ** 0.15 * self.memory["weight"] ** 0.7
-
-    def _apart(self, name: str) -> float:
-        """Square of the distance from the anchor."""
-        way = combine(1.0, self.after[name], -1.0, self.memory[f"{name} anchor"], self.memory[name])
-        return dot(way, way)
 
     def _step(self) -> float:
         """Find the next point; return its distance, and set the length of the next step."""

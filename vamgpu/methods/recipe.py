@@ -66,7 +66,8 @@ class Recipe(Method):
             state.scale(1.0 / gain, light, light)
             state.scale(1.0 / gain, felt, felt)
             window, _ = state.window(felt)
-            self._correct(state, felt, model)
+            bands = {"low": self.background, "high": 1.0, "most": self.most}
+            state.device.launch(correct_by_ratio, dose=felt, scale=1.0, target=state.target, **bands, model=model)
             state.memory["gain"] = gain
             loss = state.loss(felt, band)
             state.offer(loss, window, 1)
@@ -79,7 +80,3 @@ class Recipe(Method):
         levels = {"low": self.background, "high": 1.0, "reach": state.reach}
         state.device.launch(fill_background, target=goal, **levels, model=model)
         return model
-
-    def _correct(self, state: OptimizerState, dose: DeviceArray, model: DeviceArray) -> None:
-        bands = {"low": self.background, "high": 1.0, "most": self.most}
-        state.device.launch(correct_by_ratio, dose=dose, scale=1.0, target=state.target, **bands, model=model)

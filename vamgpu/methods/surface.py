@@ -217,8 +217,9 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
         )
     else:
         depth = depth[pad:-pad, pad:-pad, pad:-pad]
-    ramp = np.clip(0.5 + depth * (own.pitch / (2.0 * width)), 0.0, 1.0)
-    return fine.device.upload(ramp.astype(np.float32))
+    ramp = depth * (own.pitch / (2.0 * width))
+    ramp += 0.5
+    return fine.device.upload(np.asarray(np.clip(ramp, 0.0, 1.0, out=ramp), np.float32))
 
 
 def _deep(fraction: np.ndarray, reach: float, device: Device) -> np.ndarray:

@@ -25,8 +25,8 @@ TOGETHER, FEWEST = 1 << 26, 32
 
 def surrounded(fraction: Array, by: int, flat: bool = False) -> Array:
     """Fractions with a border of this many voxels: copies of the ends above and below a flat part, else empty."""
-    beside = np.pad(fraction, ((by, by), (by, by), (0, 0)))
-    return np.pad(beside, ((0, 0), (0, 0), (by, by)), mode="edge" if flat else "constant")
+    beside = np.pad(fraction, ((by, by), (by, by), (0, 0) if flat else (by, by)))
+    return np.pad(beside, ((0, 0), (0, 0), (by, by)), mode="edge") if flat else beside
 
 
 def padded_depth(fraction: Array, reach: float, flat: bool, device: Device | None = None) -> tuple[Array, int]:

@@ -15,7 +15,6 @@ from vamgpu.backend.cores import beside, together
 from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
-from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.mesh_runs import mesh_runs
 from vamgpu.metrics.mesh_union import joined
 from vamgpu.metrics.nearest_points import Nearest, nearest
@@ -27,6 +26,7 @@ from vamgpu.metrics.thin_regions import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.topology import Topology, topology
 from vamgpu.metrics.triangle_search import Array, TriangleSearch, drawn_on
 from vamgpu.metrics.walls import Walls, walls
+from vamgpu.reports.line import Line, length
 from vamgpu.targets.repair import bodies
 from vamgpu.targets.solid import Solid
 

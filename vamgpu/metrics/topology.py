@@ -79,11 +79,19 @@ def _labeled(runs: Runs, *pairs: Sequence[Indices]) -> tuple[Indices, Indices]:
 
 def _cavities(void: Runs) -> tuple[Runs, Indices, Indices]:
     """Runs of void voxels from which no path leads out, the numbers of their cavities, and the size of each."""
-    steps = void.step_y, void.step_x - void.step_y, void.step_x, void.step_x + void.step_y
-    number, size = _labeled(void, *(void.meeting(void, step, 1) for step in steps))
+    # Most runs reach the rim of the volume; only the others are labeled.
     (x, y, z), (nx, ny, nz) = void.index, void.shape
-    rim = (x == 0) | (x == nx - 1) | (y == 0) | (y == ny - 1) | (z == 0) | (z + void.length == nz)
+    inner = (x > 0) & (x < nx - 1) & (y > 0) & (y < ny - 1) & (z > 0) & (z + void.length < nz)
+    within, number = Runs(void.shape, void.start[inner], void.stop[inner]), np.where(inner, inner.cumsum(), 0) - 1
+    out, pairs = np.zeros(len(within.start), bool), list[tuple[Indices, Indices]]()
+    for step in (void.step_y, void.step_x - void.step_y, void.step_x, void.step_x + void.step_y):
+        for way in (step, -step):
+            own, other = within.meeting(void, way, 1)
+            other = number[other]
+            out[own[other < 0]] = True
+            pairs += [(own[other >= 0], other[other >= 0])] * (way > 0)
+    group, size = _labeled(within, *pairs)
     closed = np.arange(size.size + 1) > 0
-    closed[number[rim]] = False
-    kept = closed[number]
-    return Runs(void.shape, void.start[kept], void.stop[kept]), closed.cumsum()[number[kept]], size[closed[1:]]
+    closed[group[out]] = False
+    kept = closed[group]
+    return Runs(void.shape, within.start[kept], within.stop[kept]), closed.cumsum()[group[kept]], size[closed[1:]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from functools import cached_property
+from functools import cached_property, partial
 from inspect import signature
 from math import isfinite, prod
 from numbers import Real
@@ -111,7 +111,7 @@ class LinearOperator(ABC):
         cls = type(self)
         if hasattr(self, "described") or name_of(cls) is not None:
             fields = given(self) | {name: self.device for name in GIVEN if name in signature(cls).parameters}
-            return _built, (cls, fields)
+            return partial(cls, **fields), ()
         state = {name: value for name, value in vars(self).items() if name != "_held"}
         return object.__new__, (cls,), state | {"_transpose": None}
 
@@ -253,10 +253,6 @@ class Transposed(LinearOperator):
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self._operator.forward(y, out)
-
-
-def _built(cls: type[Any], fields: dict[str, Any]) -> Any:
-    return cls(**fields)
 
 
 def _halved(values: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import cached_property
+from functools import cached_property, partial
 from math import hypot
 from typing import final
 
@@ -108,23 +108,17 @@ class Projection(VoxelProjector):
         return {"edges": self.device.table(self._table.edges), "cells": self._table.cells}
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        launch = partial(self.device.launch, forward_footprint, volume=x, **self._light, **self._gather)
         with self._rows.filling(out) as rows:
-            mean(len(self._directions), lambda part, out: self._project(x, part, out), rows)
+            mean(len(self._directions), lambda part, out: launch(directions=self._directions[part], sinogram=out), rows)
         self._dwell.weigh(out)
-
-    def _project(self, x: DeviceArray, part: int, out: DeviceArray) -> None:
-        fields = {"volume": x, "directions": self._directions[part], "sinogram": out}
-        self.device.launch(forward_footprint, **fields, **self._light, **self._gather)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self._back(self._rows.in_slices(self._dwell.weighted(y)), out)
 
     def _back(self, rows: DeviceArray, out: DeviceArray) -> None:
-        mean(len(self._directions), lambda part, out: self._expose(rows, part, out), out)
-
-    def _expose(self, rows: DeviceArray, part: int, out: DeviceArray) -> None:
-        fields = {"sinogram": rows, "directions": self._directions[part], "volume": out}
-        self.device.launch(back_footprint, **fields, **self._light)
+        launch = partial(self.device.launch, back_footprint, sinogram=rows, **self._light)
+        mean(len(self._directions), lambda part, out: launch(directions=self._directions[part], volume=out), out)
 
     def of_poses(self, chosen: Sequence[int]) -> Projection:
         """This projection at some of its angles; it shares everything that does not depend on them.

@@ -81,11 +81,14 @@ class RowResampler:
 
 def mean_light(distance: np.ndarray, height: float | np.ndarray, fill: float, sigma: float) -> np.ndarray:
     """Mean over a slice ``height`` rows high of the light of a row at a distance [rows]; sums to 1 over rows."""
+    distance, height = np.broadcast_arrays(distance, height)
+    inside = np.abs(distance) < np.maximum(0.5 * (height + fill) + TAIL * sigma, FAR * sigma)
+    distance, height, mean = distance[inside], height[inside], np.zeros(inside.shape)
     outer, inner = 0.5 * (height + fill), 0.5 * np.abs(height - fill)
     ends = sum(_second_integral(distance + x, sigma) for x in (outer, -outer))
     middle = sum(_second_integral(distance + x, sigma) for x in (inner, -inner))
-    inside = np.abs(distance) < np.maximum(outer + TAIL * sigma, FAR * sigma)
-    return np.where(inside, np.maximum(ends - middle, 0.0) / (height * fill), 0.0)
+    mean[inside] = np.maximum(ends - middle, 0.0) / (height * fill)
+    return mean
 
 
 def _second_integral(x: np.ndarray, sigma: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import exp, expm1, tan
+from typing import Any
 
 import numpy as np
 
@@ -158,7 +159,7 @@ def _followed(
         if not number.size:
             break
         free = free_path(unit(bits[0][live])).astype(np.float64) / rate
-    left = path
+    left: Any = path
     p, u, path, number, count, bend, chance = (np.concatenate(each, axis=-1) for each in zip(*ends, strict=True))
     at_face = p[:2] + cuvette.wall * u[:2] / _cosine(u, cuvette, cuvette.wall_index)
     on_paper = at_face + cuvette.screen * u[:2] / _cosine(u, cuvette, cuvette.bath_index)

@@ -24,8 +24,6 @@ MOST_CHORDS = 1000  # number of chords of a clear roller along its back after wh
 
 
 class End(IntEnum):
-    """Where a ray ended."""
-
     MISSED = 0  # it met no resin
     ROLLER = 1
     BATH = 2  # through a face of the film

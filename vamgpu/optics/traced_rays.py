@@ -59,7 +59,6 @@ class StraightRays:
     absorption: float
 
     def cross(self, along: Any) -> Crossing:
-        """See `Rays.cross`."""
         across = (self.p - along * self.sine) / self.cosine
         path = along * self.cosine - across * self.sine - self.entry if self.absorption > 0 else np.zeros_like(across)
         return Crossing(across, self.cosine, absorbed_share(self.absorption, path))
@@ -77,7 +76,6 @@ class BentRays:
     absorption: float
 
     def cross(self, along: Any) -> Crossing:
-        """See `Rays.cross`."""
         if np.ndim(along):
             return Crossing(*map(np.stack, zip(*map(self.cross, along.ravel().tolist()), strict=True)))
         step = np.clip((self.along < along).sum(axis=1) - 1, 0, self.along.shape[1] - 2)[:, None]
@@ -99,7 +97,6 @@ class ShadedRays:
     rod: Occluded
 
     def cross(self, along: Any) -> Crossing:
-        """See `Rays.cross`."""
         rays, rod = self.inner.cross(along), self.rod
         sine = self._sine(rays.cosine, along)
         x, y = rays.across - rod.across, along - rod.along

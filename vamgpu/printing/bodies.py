@@ -9,8 +9,8 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.geometry import Grid
 from vamgpu.kernels.update import multiply
-from vamgpu.metrics.line import Line
 from vamgpu.metrics.parts import Parts
+from vamgpu.reports.line import Line
 from vamgpu.targets.limits import BodyRequirement, Limits
 
 PRINTED = ("print", "gray")

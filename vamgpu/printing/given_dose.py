@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.metrics.line import Line
 from vamgpu.quantity import counted
+from vamgpu.reports.line import Line
 from vamgpu.storage.reading import malformed
 
 if TYPE_CHECKING:

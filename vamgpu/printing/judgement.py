@@ -17,7 +17,6 @@ from vamgpu.geometry import centers
 from vamgpu.kernels.depth import NO_DEPTH
 from vamgpu.metrics.depth import LARGEST_REACH
 from vamgpu.metrics.interpolation import interpolated
-from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.nearest_points import nearest
 from vamgpu.metrics.surface_judgement import SurfaceJudgement, judge_surface
 from vamgpu.metrics.tolerance import (
@@ -31,6 +30,7 @@ from vamgpu.metrics.tolerance import (
 from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
 from vamgpu.printing.scattered_exposure import is_traced
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
+from vamgpu.reports.line import Line, length
 from vamgpu.targets.target import Target
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def judged(proof: Proof) -> Judgement:
     missed = [f"the surface at a finer scale than the part's voxels, because that takes {half_pixels:,} voxels and "
               f"only {WHOLE:,} fit at once"] * (fine is None and half_pixels > WHOLE)  # fmt: skip
     if isinstance(A, OxygenModel):
-        missed.append("how oxygen diffuses at another exposure: latitudes scale the effective dose")
+        missed.append("other exposures, in which oxygen diffuses otherwise: the latitude is that of the effective dose")
     deep = min(DEEP * pixel, float(found.distance[-1]))
     least, greatest = found.limits(deep)
     compared = _surface(proof, fine, pixel, (greatest, least))

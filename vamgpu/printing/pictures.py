@@ -34,9 +34,9 @@ def ramp(name: str) -> list[int]:
     return colored(np.linspace(0, 1, 256), name).ravel().tolist()
 
 
-def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray, level: float = 0.5) -> np.ndarray:
+def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray) -> np.ndarray:
     """uint8 [x, y, z]: right, `HIT`, `MISSING`, `EXCESS`, or `OUTSIDE` the judged cylinder [x, y]."""
-    verdict = _VERDICTS[2 * (target >= level).view(np.uint8) + printed.view(np.uint8)]
+    verdict = _VERDICTS[2 * (target >= 0.5).view(np.uint8) + printed.view(np.uint8)]
     verdict[~cylinder] = OUTSIDE
     return verdict
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, isfinite
+from math import floor
 from typing import Any
 
 from vamgpu.errors import BadInput
+from vamgpu.schema.quantities import numeric
 
 FIT = "fit"
+PAIR = "(dr, dz), two numbers of pixels"
 DITHERS = ("round", "error-diffusion", FIT)
 
 
@@ -30,7 +32,10 @@ class Placement:
         for name in ("flip_r", "flip_z"):
             if not isinstance(getattr(self, name), bool):
                 raise BadInput(f"{name} is {getattr(self, name)!r}; expected True or False")
-        object.__setattr__(self, "shift", _pair(self.shift))
+        shift = numeric("shift", self.shift, expected=PAIR)
+        if shift.shape != (2,) or abs(shift).max() >= 1e6:
+            raise BadInput(f"shift is {self.shift!r}; expected {PAIR}")
+        object.__setattr__(self, "shift", tuple(shift.tolist()))
         if self.quantile is not None:
             object.__setattr__(self, "quantile", _share(self.quantile))
         if self.dither not in DITHERS:
@@ -47,16 +52,6 @@ class Placement:
             "flip_r": int(self.flip_r),
             "flip_z": int(self.flip_z),
         }
-
-
-def _pair(shift: Any) -> tuple[float, float]:
-    try:
-        dr, dz = (float(d) for d in shift)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"shift is {shift!r}; expected (dr, dz), two numbers of pixels") from error
-    if not (isfinite(dr) and isfinite(dz) and max(abs(dr), abs(dz)) < 1e6):
-        raise BadInput(f"shift is {shift!r}; expected two finite numbers of pixels")
-    return dr, dz
 
 
 def _share(quantile: Any) -> float:

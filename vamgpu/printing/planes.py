@@ -11,12 +11,12 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.geometry import PlaneTime, Turntable
 from vamgpu.metrics import score
-from vamgpu.metrics.line import Line
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.independent_exposure import IndependentExposure
+from vamgpu.reports.line import Line
 
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof

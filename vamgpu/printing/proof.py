@@ -20,7 +20,6 @@ from vamgpu.methods.part import idle_light, lit_pixels
 from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
 from vamgpu.metrics.light import outside_over_inside
-from vamgpu.metrics.line import Line
 from vamgpu.metrics.mesh_union import joined
 from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
 from vamgpu.metrics.thin_regions import Unjudged, unjudged
@@ -33,6 +32,7 @@ from vamgpu.printing.independent_exposure import FineSlab
 from vamgpu.printing.judgement import Judgement, judged
 from vamgpu.printing.scattered_exposure import exposure_of
 from vamgpu.printing.verdict import Verdict, verdict_of
+from vamgpu.reports.line import Line
 
 if TYPE_CHECKING:
     from vamgpu.methods import Bound
@@ -131,6 +131,11 @@ class Proof:
         """Share of the light sent by pixels whose rays never meet the part; takes one forward projection."""
         light = self.frames.irradiance(self.operator.device)
         return idle_light(self.operator, light, lit_pixels(self.operator, self.target))
+
+    @property
+    def dose_name(self) -> str:
+        """What its latitude scales: with oxygen, the effective dose, which is not proportional to the exposure."""
+        return "effective dose" if isinstance(self.operator, OxygenModel) else "dose"
 
     @property
     def ratio(self) -> float:

@@ -21,10 +21,10 @@ from vamgpu.printing.summary import headline, summary
 from vamgpu.printing.verdict import verdict_of
 from vamgpu.quantity import counted
 from vamgpu.reports.chart import colored, picture
+from vamgpu.reports.line import Line
 from vamgpu.reports.page import (
     Card,
     Chart,
-    Figure,
     Image,
     Images,
     Legend,
@@ -174,7 +174,7 @@ def _drawn(
     return surface.viewer(expected, printed, pitch, surface.stray(proof)) | slices, pitch
 
 
-def _tiles(proof: Proof) -> list[Figure]:
+def _tiles(proof: Proof) -> list[Line]:
     """Scores and the use of light, each with its meaning."""
     scores = proof.scores
     part = "of the light sent is absorbed in the part" if absorbs(proof.operator) else "mean path of light in the part"
@@ -188,7 +188,7 @@ def _tiles(proof: Proof) -> list[Figure]:
         ("mean brightness", f"{100 * proof.mean_brightness:.2g} %", "mean of all pixels / a full-on pixel"),
         ("dose outside over inside", outside, "mean dose outside the part / mean dose in it"),
     ]
-    return [Figure(value, name, meaning) for name, value, meaning in tiles]
+    return [Line(*tile) for tile in tiles]
 
 
 def _surface_note(proof: Proof) -> str:

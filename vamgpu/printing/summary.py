@@ -6,7 +6,6 @@ from itertools import groupby
 from math import isfinite, isnan
 from typing import Any
 
-from vamgpu.metrics.line import length
 from vamgpu.metrics.surface_judgement import SurfaceJudgement
 from vamgpu.printing import charts
 from vamgpu.printing.judgement import DEEP, Judgement
@@ -14,7 +13,8 @@ from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable
 from vamgpu.printing.verdict import Verdict
 from vamgpu.quantity import counted
-from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
+from vamgpu.reports.line import Line, length
+from vamgpu.reports.page import Card, Chart, Numbers, Tolerances
 
 WORDS = {
     "point spread": "Point spread: increase of σ, in columns and rows",
@@ -38,36 +38,36 @@ def summary(proof: Proof, judgement: Judgement) -> list[Card]:
     ]
 
 
-def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Figure]:
+def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Line]:
     """Dose latitude, window a pixel from the surface, stray resin, surface, and the time it takes."""
     deep, found = length(judgement.deep), judgement.over_tolerance
     low, high = verdict.latitude
     meaning = (
-        f"exposures, relative to the proved one, at which everything farther than {deep} from the surface is correct, "
-        "and bodies, holes and narrow walls stay as they are"
+        f"{proof.dose_name}, relative to the proved one, at which everything farther than {deep} from the surface is "
+        "correct, and bodies, holes and narrow walls stay as they are"
     )
     said = " … ".join(f"{100 * (end - 1):+.{int(abs(end - 1) < 0.1)}f} %" for end in (low, high)).replace("-", "−")
-    figures = [Figure(said if low < high else "none", "dose latitude", meaning)]
+    figures = [Line(f"{proof.dose_name} latitude", said if low < high else "none", meaning)]
     for number, name in ((1.0, "a pixel"), (DEEP, "two pixels")):
         distance = min(number * judgement.pixel, float(found.distance[-1]))
         judged = f"for the {100 * found.judged_at(distance):.0f} % of the part that is that deep"
         share = f"(least dose in the part − greatest outside) / greatest dose; {judged}"
-        figures.append(Figure(signed(found.at(distance)), f"window {name} from the surface, {length(distance)}",
-                              share))  # fmt: skip
+        where = f"window {name} from the surface, {length(distance)}"
+        figures.append(Line(where, signed(found.at(distance)), share))
     if (dose := proof.given) is not None:
         turns = f"{counted(dose.turns, 'turn')} in {dose.seconds:.1f} s"
-        figures.insert(0, Figure(f"×{dose.share:.3f}", "dose given over proved", f"{turns}; {dose.verdict}"))
+        figures.insert(0, Line("dose given over proved", f"×{dose.share:.3f}", f"{turns}; {dose.verdict}"))
     if proof.outer is not None:
         meaning = f"greatest dose around the judged cylinder: {proof.outer.where}; at 1 or more, resin there prints"
-        figures.append(Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning))
+        figures.append(Line("of the threshold, beyond the cylinder", f"{proof.outer_share:.2f}", meaning))
     figures += _surface(judgement.surface)
     if proof.exposure is not None:
         note = f"{proof.exposure.turning}; until resin at the threshold is solid"
-        figures.append(Figure(f"{proof.exposure.seconds:.3g} s", "exposure", note))
+        figures.append(Line("exposure", f"{proof.exposure.seconds:.3g} s", note))
     return figures
 
 
-def _surface(found: SurfaceJudgement) -> list[Figure]:
+def _surface(found: SurfaceJudgement) -> list[Line]:
     """Distance of the surface from the part's, and whether bodies, holes and cavities are the same."""
     if isnan(found.mean):
         return []
@@ -77,7 +77,7 @@ def _surface(found: SurfaceJudgement) -> list[Figure]:
         else "Bodies, holes or cavities do not match the part"
     )
     far = f"at most {length(found.greatest_excess)} too thick and {length(found.greatest_lack)} too thin"
-    return [Figure(length(found.rms), "distance from the part's surface, RMS", f"{far}. {made}")]
+    return [Line("distance from the part's surface, RMS", length(found.rms), f"{far}. {made}")]
 
 
 def _chart_note(proof: Proof) -> str:

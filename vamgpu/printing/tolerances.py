@@ -185,7 +185,7 @@ def _prepared(A: Any, scenario: Scenario, amount: float) -> Callable[[], Project
     if scenario.off is None:
         return None
     if not isinstance(A, Projection):
-        return BadInput(f"{type(A).__name__} cannot be varied; only a plain Projection can")
+        return BadInput(f"got {type(A).__name__}; expected a Projection, whose light no insert or medium bends")
     try:
         return prepared(A, *scenario.off(A, amount))
     except BadInput as error:

@@ -8,8 +8,8 @@ from math import inf, isnan, sqrt
 from typing import TYPE_CHECKING
 
 from vamgpu.metrics.body_changes import BodyChanges
-from vamgpu.metrics.line import length
 from vamgpu.printing.causes import Causes
+from vamgpu.reports.line import length
 from vamgpu.units import mW_cm2
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
     if surface.p95 > ROUGH * judgement.pixel:
         faults.append(Fault(f"5 % of the surface deviates by more than {length(surface.p95)}", causes.rough))
     faults += _left(proof, causes)
-    latitude = f"; the dose may be {_percent(1.0 - low, 0.5)} lower or {_percent(most - 1.0, 1.0)} higher"
+    latitude = f"; the {proof.dose_name} may be {_percent(1.0 - low, 0.5)} lower or {_percent(most - 1.0, 1.0)} higher"
     times = proof.exposure
     exposed = f"; {times.seconds:.3g} s, {times.turning}" if times else ""
     near = "" if nothing else f", 95 % of the surface within {length(surface.p95)}"

@@ -10,20 +10,11 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from vamgpu.errors import StorageError
+from vamgpu.reports.line import Line
 from vamgpu.storage.atomic import check_folder, page_path, replacing
 
 
-class Figure(NamedTuple):
-    """One prominent number."""
-
-    value: str  # the number as text
-    name: str
-    meaning: str = ""  # its explanation, or empty
-
-
 class Image(NamedTuple):
-    """An image and its caption."""
-
     source: str
     name: str
 
@@ -50,7 +41,7 @@ class Images:
 class Numbers:
     """Lines of name, value and meaning."""
 
-    lines: Iterable[Any]  # objects with ``name``, ``value`` and ``meaning``
+    lines: Iterable[Line]
     kind: ClassVar[str] = "numbers"
 
 
@@ -125,9 +116,9 @@ class Page:
     title: str
     verdict: str
     good: bool  # whether the verdict is good
-    tiles: Sequence[Figure]  # numbers in a row
+    tiles: Sequence[Line]  # numbers in a row
     cards: Sequence[Card]  # below the tiles, in two columns
-    headline: Sequence[Figure] = ()  # the most important numbers, above the tiles
+    headline: Sequence[Line] = ()  # the most important numbers, above the tiles
     summary: Sequence[Card] = ()  # cards above the tiles
     remedies: Sequence[str] = ()  # what to do if the verdict is not good
     data: Mapping[str, Any] | None = None  # drawn by the page's script, for cards with a `SurfaceView` or `Slices`

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,23 +35,34 @@ def shard_length(shape: tuple[int, ...], itemsize: int) -> int:
     return max(1, min(shape[0], SHARD_CHUNKS, SHARD_BYTES // one))
 
 
+HEADER = "zarr.json"
+"""Zarr's file that describes a group or an array."""
+LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
+
+
+def write_header(folder: Path, kind: str, attributes: dict[str, Any], **said: Any) -> None:
+    """Write the header of a group or an array as Zarr writes it: importing Zarr takes longer than storing a job."""
+    said |= {"attributes": attributes, "zarr_format": 3, "node_type": kind}
+    (folder / HEADER).write_text(json.dumps(said, indent=2), encoding="utf-8")
+
+
 def create(
     folder: Path, name: str, shape: tuple[int, ...], dtype: np.dtype, shards: tuple[int, ...], axes: tuple[str, ...]
-) -> Any:
+) -> None:
     """Create an empty array in a Zarr group, one chunk per entry of the first axis."""
-    import zarr
-    from zarr.codecs import ZstdCodec
-
-    return zarr.open_group(folder, mode="a", zarr_format=3).create_array(
-        name,
-        shape=shape,
-        dtype=dtype,
-        chunks=(1, *shape[1:]),
-        shards=shards,
-        compressors=ZstdCodec(level=LEVEL, checksum=True),
-        dimension_names=axes,
-        config={"write_empty_chunks": True},  # a missing file is then not mistaken for darkness
-    )
+    codecs = [LITTLE if dtype.itemsize > 1 else {"name": "bytes"},
+              {"name": "zstd", "configuration": {"level": LEVEL, "checksum": True}}]  # fmt: skip
+    sharding = {"chunk_shape": [1, *shape[1:]], "codecs": codecs, "index_codecs": [LITTLE, {"name": "crc32c"}],
+                "index_location": "end"}  # fmt: skip
+    if not (folder / HEADER).exists():
+        write_header(folder, "group", {})
+    (folder / name).mkdir()
+    write_header(
+        folder / name, "array", {}, shape=shape, data_type=dtype.name, fill_value=dtype.type(0).item(),
+        chunk_grid={"name": "regular", "configuration": {"chunk_shape": shards}},
+        chunk_key_encoding={"name": "default", "configuration": {"separator": "/"}},
+        codecs=[{"name": "sharding_indexed", "configuration": sharding}], dimension_names=axes, storage_transformers=[],
+    )  # fmt: skip
 
 
 class Entries(Protocol):
@@ -143,7 +155,7 @@ class Layout:
     @classmethod
     def of(cls, path: Path) -> Layout:
         """Read ``zarr.json``."""
-        said = parse_json(read_text(path / "zarr.json"))
+        said = parse_json(read_text(path / HEADER))
         try:
             shape, dtype = tuple(said["shape"]), np.dtype(said["data_type"])
             shards = tuple(said["chunk_grid"]["configuration"]["chunk_shape"])

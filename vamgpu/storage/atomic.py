@@ -29,7 +29,6 @@ PAGES = (".html", ".htm")
 
 
 def as_path(path: str | Path) -> Path:
-    """A path."""
     if not isinstance(path, str | os.PathLike):
         raise BadInput(f"got a {type(path).__name__} where a path is expected; give text or a Path")
     return Path(path)

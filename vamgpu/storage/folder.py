@@ -15,7 +15,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.storage.arrays import read, read_one, read_parts, write
+from vamgpu.storage.arrays import HEADER, read, read_one, read_parts, write, write_header
 from vamgpu.storage.atomic import as_path, check_folder, explained, replacing, settle
 from vamgpu.storage.manifest import ArrayRecord, Manifest
 from vamgpu.storage.reading import is_file, read_text
@@ -49,17 +49,14 @@ class Image:
 
 def describe(folder: Path, images: Iterable[Image]) -> None:
     """Say in the Zarr group of a folder which of its arrays are images, and where their voxels are."""
-    import zarr
-
     rank = {name: place for place, name in enumerate(FIRST)}
     ordered = sorted(images, key=lambda image: rank.get(image.name, len(rank)))
     if ordered:
         said = {"version": VERSION, "multiscales": [image.multiscale() for image in ordered]}
-        zarr.open_group(folder, mode="a", zarr_format=3).attrs["ome"] = said
+        write_header(folder, "group", {"ome": said})
 
 
 MANIFEST = "manifest.json"
-HEADER = "zarr.json"  # zarr's file that describes an array; Zarr does not flush it to the disk
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,7 +42,6 @@ class Bag:
                 self.__dict__.update({str(key): value for key, value in part.items()})
 
     def get(self, name: str) -> Any:
-        """An attribute."""
         return self.__dict__.get(name)
 
 

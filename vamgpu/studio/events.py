@@ -26,7 +26,6 @@ class Events:
         self._last = 0
 
     def publish(self, name: str, data: dict[str, Any]) -> None:
-        """Add an event."""
         with self._lock:
             self._last = next(self._numbers)
             text = json.dumps(data, ensure_ascii=False)

@@ -26,7 +26,6 @@ class Presets:
         self._bundled = {family: [one | {"own": False} for one in bundled[family]] for family in FAMILIES}
 
     def all(self) -> dict[str, list[dict[str, Any]]]:
-        """All presets."""
         own = self._own()
         return {family: [*self._bundled[family], *own.get(family, [])] for family in FAMILIES}
 

@@ -49,7 +49,6 @@ class Prints:
                 "guarantees": [each.record() for each in found], "refused": drift}  # fmt: skip
 
     def runs(self) -> list[dict[str, Any]]:
-        """The history of prints."""
         return past(self._workspace.folder)
 
     def report(self, run: str, name: str) -> bytes:

@@ -27,8 +27,6 @@ NO_PROOF = "has no proof yet; prove it first"
 
 
 class Results:
-    """The results of a workspace."""
-
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._volumes = workspace, Volumes()
 

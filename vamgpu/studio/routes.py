@@ -37,7 +37,6 @@ STREAMS = 50  # pages that can listen at a time
 
 
 def app(engine: Engine) -> Starlette:
-    """The application."""
     api = _Api(engine)
     inside = [*_files(api), *_jobs(api), *_tasks(api), *_results(api), *_prints(api)]
     routes = [Route("/", api.page), Route("/static/{path:path}", api.static), Mount("/print", engine.prints),
@@ -196,14 +195,12 @@ class _Api:
             return explained(error)
 
     def part(self, name: str) -> dict[str, Any]:
-        """Extents of a part."""
         place = self.engine.workspace.existing(name, *FORMATS)
         found = place.stat()
         return {"id": name, "bytes": found.st_size, "modified": found.st_mtime,
                 **self.engine.texts.part(place).described()}  # fmt: skip
 
     def part_mesh(self, name: str, most: int) -> Arrays:
-        """Triangles of a part."""
         part = self.engine.texts.part(self.engine.workspace.existing(name, *FORMATS), most)
         return _mesh(part.mesh, part.mesh.positions, part.triangles)
 
@@ -219,7 +216,6 @@ class _Api:
         return self.engine.texts.new(body.name, body.part, body.height, presets)
 
     def copy(self, name: str, body: ask.Copy) -> dict[str, Any]:
-        """A copy of a job file."""
         text = self.engine.texts.read(name)["text"]
         return self.engine.texts.save(body.name + ("" if body.name.endswith(JOB) else JOB), text, None)
 
@@ -234,7 +230,6 @@ class _Api:
         return discarded
 
     def add(self, body: ask.Task) -> dict[str, Any]:
-        """A new task."""
         return self.engine.tasks.described(self.engine.tasks.add(body.root.model_dump()))
 
     def run_slice(self, name: str) -> Arrays:

@@ -48,7 +48,6 @@ class Engine:
         self._over = threading.Event()
 
     def listing(self) -> dict[str, Any]:
-        """The workspace."""
         return self.workspace.listing(self.tasks.busy()) | {"revision": self.revision}
 
     def devices(self) -> dict[str, Any]:
@@ -109,7 +108,6 @@ class Studio(PageServer):
             raise
 
     def app(self) -> Any:
-        """The routes of Studio."""
         from vamgpu.studio.routes import app
 
         return app(self.engine)

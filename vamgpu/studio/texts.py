@@ -58,7 +58,6 @@ class Texts:
         return {"text": text, "fields": fields, "errors": errors}
 
     def read(self, name: str) -> dict[str, Any]:
-        """A job file."""
         text = read_text(self._workspace.existing(name, JOB))
         return {"id": name, "etag": etag_of(text), **self.checked(text, name)}
 

@@ -63,7 +63,6 @@ class Remembered:
         self._lock = Lock()
 
     def of(self, what: str, path: Path, made: Callable[[Path], Value]) -> Value:
-        """The value of a file."""
         key, now = (what, path), stamp(path)
         with self._lock:
             if key in self._known and self._known[key][0] == now:
@@ -233,7 +232,6 @@ class Workspace:
         return path.suffix == RESULT and record_of(path).is_file() and self.state(path)[0] == "interrupted"
 
     def manifest(self, path: Path) -> Folder:
-        """An opened job folder."""
         return self.remembered.of("folder", path / MANIFEST, lambda file: Folder.open(file.parent))
 
     def proof_of(self, path: Path) -> Path | None:

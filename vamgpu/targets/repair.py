@@ -162,13 +162,12 @@ def _turn_outward(vertices: Vertices, faces: Faces) -> Mended:
     volume = np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
     flip = np.full(len(volume), volume.sum() < 0.0)
     volume = np.abs(volume.sum()) / (volume.sum() or 1.0) * volume
-    low = np.full((len(volume), 3), np.inf)
-    high = np.full((len(volume), 3), -np.inf)
-    for corner in faces.T:
+    low, high = np.full((2, len(volume), 3), [[[np.inf]], [[-np.inf]]])
+    outward, inward = volume > 0.0, np.flatnonzero(volume < 0.0)
+    for corner in faces.T if inward.size else ():
         np.minimum.at(low, body, vertices[corner])
         np.maximum.at(high, body, vertices[corner])
-    outward = volume > 0.0
-    for index in np.flatnonzero(volume < 0.0):
+    for index in inward:
         inside = outward & (low <= low[index]).all(axis=1) & (high >= high[index]).all(axis=1)
         if not inside.any():
             flip[index] = not flip[index]

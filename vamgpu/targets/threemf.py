@@ -100,7 +100,6 @@ class _Volume:
     names: tuple[str, ...]
 
     def containing(self, role: str, names: tuple[str, ...]) -> _Volume:
-        """A part of it."""
         return _Volume(role or self.role, (*names, *self.names))
 
 

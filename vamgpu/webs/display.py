@@ -40,6 +40,5 @@ class Display:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of a frame."""
         columns, rows = self.pixels
         return rows * (columns if self.bits == 8 else -(-columns // 8))

@@ -74,7 +74,6 @@ class WebLimits:
 
     @property
     def pose_rate(self) -> float:
-        """Poses a second."""
         return self.speed / self.advance
 
     @property

@@ -11,7 +11,8 @@ import numpy as np
 from vamgpu.methods.papers import BAND, RAMP, ROLL_TO_ROLL
 from vamgpu.optics.roller import Roller
 from vamgpu.printing import pictures, surface
-from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Slices, SurfaceView, Table
+from vamgpu.reports.line import Line
+from vamgpu.reports.page import Card, Chart, Images, Legend, Page, Papers, Slices, SurfaceView, Table
 from vamgpu.webs import views
 from vamgpu.webs.describe import wrap_from
 
@@ -96,7 +97,7 @@ def _surface(values: np.ndarray, level: float, edges: np.ndarray) -> surface.Sur
     return replace(found, points=points, normals=surface.vertex_normals(points, found.faces))
 
 
-def _tiles(proof: WebProof) -> list[Figure]:
+def _tiles(proof: WebProof) -> list[Line]:
     length = proof.segments[-1].columns[1] * proof.grid.edges[0]
     worst = min(score.trimmed for score in proof.segments)
     values = (
@@ -107,7 +108,7 @@ def _tiles(proof: WebProof) -> list[Figure]:
         ("frames", f"{proof.folder.frames:,}"),
         ("segments", str(len(proof.segments))),
     )
-    return [Figure(value, name) for name, value in values]
+    return [Line(*each) for each in values]
 
 
 def _setup(proof: WebProof) -> list[tuple[str, str]]:

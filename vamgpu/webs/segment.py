@@ -12,8 +12,6 @@ from vamgpu.printing.gray import GrayCurve
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One finished segment."""
-
     number: int  # counted from 0
     first: int  # number of its first frame on the web
     images: np.ndarray  # uint8 [pose, row, column]

@@ -395,5 +395,4 @@ class Stream:
 
 
 def _bytes(fractions: np.ndarray) -> np.ndarray:
-    """Fractions times 255."""
     return np.round(255.0 * fractions).astype(np.uint8)

@@ -34,8 +34,6 @@ VESSELS = ("vial", "vat", "vessel", "light")
 
 @dataclass(frozen=True)
 class Imported:
-    """A job that was imported."""
-
     folder: Folder
     program: str
     notes: tuple[str, ...]

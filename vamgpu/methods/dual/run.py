@@ -10,6 +10,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.methods.certificate import Bound
+from vamgpu.methods.choice import instance
 from vamgpu.methods.dual.colors import Colors, DualPlan, Pair, Pass
 from vamgpu.methods.dual.least_squares import LeastSquares
 from vamgpu.methods.dual.passes import DualColor, DualState, Rule, SingleColor, Tolerant
@@ -19,7 +20,6 @@ from vamgpu.methods.pdhg import PDHG, TOLD
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import EVERYWHERE, extent
-from vamgpu.schema.registry import as_known, nearest
 
 METHODS: dict[str, Callable[[], Any]] = {
     "sc": SingleColor,
@@ -60,7 +60,7 @@ def superpose(
         EmptyMesh: No voxel is in the part, or none is outside.
         DeviceError: Arrays are on different devices.
     """
-    rule = _rule(method)
+    rule: Rule = instance("rule", method, METHODS, "an instance such as Tolerant()")
     started = time.perf_counter()
     state, history = DualState(colors, _checked(colors, design)), []
     for record in rule.steps(state):
@@ -112,15 +112,3 @@ def _checked(colors: Colors, design: Any) -> DeviceArray:
     values = on_device(projector, one_limit(design))
     check_values(values, "the design", "gray values")
     return values
-
-
-def _rule(method: str | Rule) -> Rule:
-    if isinstance(method, str):
-        method = as_known(method, METHODS)
-        if method not in METHODS:
-            near = nearest(method, METHODS)
-            raise BadInput(f"no rule {method!r}; there are {', '.join(METHODS)}, or give an instance{near}")
-        return METHODS[method]()
-    if isinstance(method, type) or not hasattr(method, "steps"):
-        raise BadInput(f"got {method!r} as rule; expected a name ({', '.join(METHODS)}) or e.g. Tolerant()")
-    return method

@@ -34,7 +34,6 @@ def from_triangles(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.inte
 
 
 def union(bodies: Iterable[Manifold]) -> Manifold:
-    """Join bodies."""
     return Manifold.batch_boolean(list(bodies), OpType.Add)
 
 

@@ -11,7 +11,7 @@ class Line(NamedTuple):
 
     name: str
     value: str
-    meaning: str
+    meaning: str = ""
 
 
 def length(millimeters: float, sign: str = "") -> str:
