@@ -204,9 +204,7 @@ def heat_matrix(count: int, spread: float, ends: Ends) -> np.ndarray:
     for at, held in ((0, ends[0]), (-1, ends[1])):
         diagonal[at] += -1.0 if held else 1.0
     rates, waves = eigh_tridiagonal(diagonal, np.ones(count - 1))
-    rates = (
-        rates - rates**2 / 12.0 + rates**3 / 90.0
-    )  # second differences alone spread waves of a few voxels too slowly
+    rates = rates - rates**2 / 12.0 + rates**3 / 90.0  # the first alone spreads waves of a few voxels too slowly
     matrix = (waves * np.exp(spread * rates)) @ waves.T
     matrix = 0.5 * (matrix + matrix.T)
     faint = np.abs(matrix) < FAINT
