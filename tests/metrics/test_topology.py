@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
+from scipy.ndimage import label
 from skimage.measure import euler_number
 
 from vamgpu.metrics.body_changes import body_changes
@@ -47,6 +51,17 @@ def test_noise_agrees_with_the_euler_number_of_scikit_image() -> None:
     found = topology(mask)
     assert found.bodies - found.holes.sum() + found.cavities == euler_number(mask, connectivity=1)
     assert (found.holes >= 0).all() and found.size.sum() == mask.sum()
+
+
+@pytest.mark.parametrize("share", [0.88, 0.92, 0.95])
+def test_cavities_of_noise_are_those_that_scipy_finds(share: float) -> None:
+    """Voids lead out in every direction, some of them by a corner alone."""
+    mask = np.random.default_rng(3).random((24, 23, 22)) < share
+    voids: Any = label(~mask, np.ones((3, 3, 3)))
+    rim = np.ones_like(mask)
+    rim[1:-1, 1:-1, 1:-1] = False
+    wanted = np.bincount(voids[0].ravel())[np.setdiff1d(np.arange(1, voids[1] + 1), voids[0][rim])]
+    assert wanted.size > 10 and sorted(topology(mask).cavity_size) == sorted(wanted)
 
 
 def test_a_body_that_grazes_another_is_not_merged_with_it() -> None:
