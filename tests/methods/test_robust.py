@@ -108,7 +108,7 @@ def test_the_bound_of_some_slices_holds_for_all_light_at_all_corners() -> None:
     assert ring.prices.shape == (SIZE, SIZE, len(OFF.corners())) == alone.prices.shape
     # without a point spread along z one row would be all there is; with one, others add no more than it
     assert optimum("ring") - 2e-4 <= ring.value <= alone.value + 0.03
-    pair = bound(A, fractions, evaluations=400, tolerances=OFF, slices=(2, 4))
+    pair = bound(A, fractions, evaluations=1000, tolerances=OFF, slices=(2, 4))
     plan = vam.optimize(A, fractions, iterations=20, tolerances=OFF)
     assert plan.window < min(ring.value, pair.value) < 0.5
 
