@@ -82,5 +82,6 @@ ENTRIES = {
     "vamtoolbox-bclp": Entry("VAMToolbox, BCLP", "vamtoolbox_frames.py", "BCLP", "vamtoolbox", EXAMPLES),
     "leap": Entry("LEAP, VAM.py", "leap_frames.py", "VAM", "leap"),
     "drtvam": Entry("Dr.TVAM", "drtvam_frames.py", "default", "drtvam"),
+    "drtvam-fine": Entry("Dr.TVAM, ¾ voxels", "drtvam_frames.py", "fine", "drtvam", "voxels as wide as ours"),
     "drtvam-surface": Entry("Dr.TVAM, surface-aware", "drtvam_frames.py", "surface-aware", "drtvam", EXAMPLES),
 }

@@ -56,6 +56,17 @@ def test_the_head_says_where_the_default_is_ahead_and_behind(tmp_path: Path) -> 
     assert "(latitude): nowhere\n" in text
 
 
+def test_a_picture_stays_while_an_entry_has_no_slice(tmp_path: Path) -> None:
+    drawn, slab = tmp_path / "compared-boat-air.png", np.full((4, 4), 0.5, np.float32)
+    drawn.write_bytes(b"old")
+    for name, kept in (("ours", True), ("leap", False)):
+        place = tmp_path / "boat-air" / name
+        place.mkdir(parents=True)
+        np.savez(place / "worst.npz", dose=slab, depth=slab - np.eye(4), place=np.zeros(3, int), deepest=0.5)
+        page.write(tmp_path, record({"rms_um": 12.0}, {"rms_um": 15.0}), tmp_path)
+        assert (drawn.read_bytes() == b"old") is kept
+
+
 def test_ours_is_solved_again_until_it_is_as_soon_as_the_fastest_program() -> None:
     aims: list[float] = []
 
