@@ -189,6 +189,12 @@ class OptimizerState:
         loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
+    def combine(
+        self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
+    ) -> None:
+        """out = max(floor, a·x + b·y); out may be x or y."""
+        combine(a, x, b, y, out, floor)
+
     def scale(self, factor: float, x: DeviceArray, out: DeviceArray) -> None:
         """out = factor·x."""
         combine(factor, x, 0.0, x, out)
