@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -189,11 +189,7 @@ class OptimizerState:
         loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
-    def combine(
-        self, a: float, x: DeviceArray, b: float, y: DeviceArray, out: DeviceArray, floor: float = NO_FLOOR
-    ) -> None:
-        """out = max(floor, a·x + b·y); out may be x or y."""
-        combine(a, x, b, y, out, floor)
+    combine: ClassVar[Callable[..., DeviceArray]] = staticmethod(combine)
 
     def scale(self, factor: float, x: DeviceArray, out: DeviceArray) -> None:
         """out = factor·x."""

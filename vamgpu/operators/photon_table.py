@@ -19,20 +19,14 @@ from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.polar import PolarGrid, WritesPose, writes_stored
 
 QUANTILES = 1 << 12
-RAYS = 64
-"""Rays of a column, each of an equal part of its light."""
+RAYS = 64  # rays of a column, each of an equal part of its light
 ITEMS, MOST_ITEMS = 1 << 12, 1 << 17
 """Least and greatest number of items of a launch, which follow their photons one after another."""
-OWN = 8
-"""Photons of an item, where there are enough."""
-SEGMENTS = 1 << 14
-"""Greatest number of segments of a photon."""
-TALLY = 1 << 28
-"""Bytes of the tally of some columns."""
-EXACT_LAGS, GROWTH = 4, 1.25
-"""Bins along z: one per slice near 0, then growing by a factor."""
-SAMPLED = 24
-"""Least number of columns from which the profiles along z are chosen."""
+OWN = 8  # photons of an item, where there are enough
+SEGMENTS = 1 << 14  # greatest number of segments of a photon
+TALLY = 1 << 28  # bytes of the tally of some columns
+EXACT_LAGS, GROWTH = 4, 1.25  # bins along z: one per slice near 0, then growing by a factor
+SAMPLED = 24  # least number of columns from which the profiles along z are chosen
 
 
 @runtime_checkable
