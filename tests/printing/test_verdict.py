@@ -16,6 +16,7 @@ import vamgpu as vam
 from vamgpu.backend import open_device
 from vamgpu.geometry import centers
 from vamgpu.methods.certificate import Bound
+from vamgpu.methods.surface import SurfaceRamp
 from vamgpu.metrics.body_changes import BodyChanges
 from vamgpu.printing import judgement as judging
 from vamgpu.printing.causes import BOUNDED, CONVERGED, EVALUATIONS, NARROW, THIN
@@ -160,7 +161,8 @@ def test_a_gap_of_four_pixels_bears_as_much_more_as_its_middle() -> None:
     part = np.zeros(GRID.shape, np.float32)
     part[np.ix_((x > 1.6) & (x < 9.0), x < 9.0, np.arange(4, NZ - 4))] = 1.0
     A = vam.Projection(GRID, BEAM, TURN, None, open_device())
-    proof = vam.simulate(A, vam.pack(vam.optimize(A, part, "ramp", iterations=40)), part, absorption=0.1)
+    plan = vam.optimize(A, part, SurfaceRamp(steepest=1), iterations=40)
+    proof = vam.simulate(A, vam.pack(plan), part, absorption=0.1)
     high, (_, far) = proof.verdict.latitude[1], proof.judgement.over_tolerance.limits(proof.judgement.deep)
     fine = np.concatenate([np.asarray(slab.dose) for slab in proof.fine(GRID.inscribed_radius)], axis=2)
     bridge = fine[N - 4 : N + 4, 22:-22, 8:-8].min(axis=0).max()  # the darkest voxel on the brightest line across

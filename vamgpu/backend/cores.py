@@ -15,12 +15,9 @@ import numpy as np
 In = TypeVar("In")
 Out = TypeVar("Out")
 
-MOST, FEW = 8, 4
-"""Limit of threads: more of them wait for memory, and for each other if operations are short."""
-PIECE = 65_536
-"""Number of values that a thread processes."""
-WORKER = "vamgpu"
-"""Prefix of the names of threads whose work is not divided again."""
+MOST, FEW = 8, 4  # limit of threads: more of them wait for memory, and for each other if operations are short
+PIECE = 65_536  # number of values that a thread processes
+WORKER = "vamgpu"  # prefix of the names of threads whose work is not divided again
 
 
 def threads() -> int:

@@ -22,10 +22,8 @@ from vamgpu.kernels.lanes import from_lanes, to_lanes
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 from vamgpu.kernels.update import linear
 
-STRIP = 1 << 23
-"""Bytes that a thread converts to another layout at a time: fields may be larger than the free memory."""
-HOST = (1, 0)
-"""Host memory, by its number in DLPack."""
+STRIP = 1 << 23  # bytes that a thread converts to another layout at a time: fields may be larger than the free memory
+HOST = (1, 0)  # host memory, by its number in DLPack
 
 
 class Device(ABC):

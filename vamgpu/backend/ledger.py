@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 from vamgpu.errors import TransferForbidden
 
-SMALL = 4096
-"""Size of transfers (scalars, partial sums) that are always allowed [bytes]."""
+SMALL = 4096  # size of transfers (scalars, partial sums) that are always allowed [bytes]
 
 
 @dataclass

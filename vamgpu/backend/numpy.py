@@ -13,8 +13,7 @@ from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.signature import Kernel
 
-ALIGNED = 64
-"""Alignment of arrays in bytes: JAX copies arrays with another alignment."""
+ALIGNED = 64  # alignment of arrays in bytes: JAX copies arrays with another alignment
 
 
 class NumpyDevice(Device):

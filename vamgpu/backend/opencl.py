@@ -27,12 +27,9 @@ from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.pointwise import opencl
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
-SMALL_TABLE = 1 << 24
-"""Size up to which a table stays in memory, regardless of the memory limit [bytes]."""
-VECTOR = 64
-"""Bytes of the widest vectors that kernels load."""
-FULL_SLAB = 32
-"""Slices of a slab on GPUs, if there are enough; kernels for matrix units are written for it."""
+SMALL_TABLE = 1 << 24  # size up to which a table stays in memory, regardless of the memory limit [bytes]
+VECTOR = 64  # bytes of the widest vectors that kernels load
+FULL_SLAB = 32  # slices of a slab on GPUs, if there are enough; kernels for matrix units are written for it
 MOST_TOGETHER = 64
 """Number of items of a table kernel that PoCL runs together: it keeps the arrays of all of them on one stack. By
 default it takes groups of thousands, which overflow the stack."""
@@ -58,12 +55,9 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
     return np.frombuffer(mapped, np.uint8), mapped
 
 
-PLACES = 8
-"""Copies to other GPUs that may be under way in pinned memory."""
-PINNED = 1 << 27
-"""Greatest one [bytes]; while a longer one lasts, the host waits."""
-MOST_ENTRIES = 1 << 31
-"""Number of entries of a table that exceeds an int32."""
+PLACES = 8  # copies to other GPUs that may be under way in pinned memory
+PINNED = 1 << 27  # greatest one [bytes]; while a longer one lasts, the host waits
+MOST_ENTRIES = 1 << 31  # number of entries of a table that exceeds an int32
 
 
 class OpenclDevice(Device):

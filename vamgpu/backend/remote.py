@@ -29,8 +29,7 @@ Queued = tuple[Order, Future[Any] | None] | None
 """An order, and the future for its answer if it has one; None ends the thread."""
 Send = Callable[[list[Order]], list[Any]]
 """Function that sends orders, each after whether its answer is wanted, and waits for the answers."""
-PATIENCE = 1.0
-"""Time in which a thread ends [s]."""
+PATIENCE = 1.0  # time in which a thread ends [s]
 
 
 class Facts(NamedTuple):
@@ -119,8 +118,7 @@ def _let_go(handles: dict[int, tuple[Any, int]], device: Device) -> None:
     handles.clear()
 
 
-_LATER: Any = object()
-"""In place of an order: there is none yet."""
+_LATER: Any = object()  # in place of an order: there is none yet
 
 
 class _Handle:

@@ -20,8 +20,7 @@ from vamgpu.kernels.stack import put_slices
 Cuts = list[tuple[int, int]]
 """First slice and the one after the last, a pair per member; empty for members without slices."""
 WHOLE = "all"
-SPARE = 8
-"""Shapes of which each member keeps temporary fields for later launches."""
+SPARE = 8  # shapes of which each member keeps temporary fields for later launches
 Passed = ParamSpec("Passed")
 Found = TypeVar("Found")
 

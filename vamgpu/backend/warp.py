@@ -23,12 +23,10 @@ from vamgpu.kernels.catalog import declared
 from vamgpu.kernels.signature import Field, Kernel
 
 LANES = 32
-STRIDE_LIMIT = 2**31
-"""Warp stores strides and extents in 32 bits."""
+STRIDE_LIMIT = 2**31  # warp stores strides and extents in 32 bits
 CUDA = 2
 """GPU memory, by its number in DLPack."""
-VECTOR = 16
-"""Alignment of vectors in bytes."""
+VECTOR = 16  # alignment of vectors in bytes
 
 TYPES: dict[str, type] = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.uint8, "uint32": wp.uint32}
 

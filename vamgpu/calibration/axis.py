@@ -16,17 +16,13 @@ from vamgpu.calibration.fits import check_finite, noise_of
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import counts, positive
 
-LEAST_CONTRAST = 6.0
-"""Smallest step from shadow to light, over the noise of a reading, that counts as an edge."""
+LEAST_CONTRAST = 6.0  # smallest step from shadow to light, over the noise of a reading, that counts as an edge
 
-LEAST_COLUMNS = 16
-"""Least number of readings of a scan, and on either side of an edge for its fit."""
+LEAST_COLUMNS = 16  # least number of readings of a scan, and on either side of an edge for its fit
 
-SHARP = 0.15
-"""Blur [columns] below which a column's own width hides it."""
+SHARP = 0.15  # blur [columns] below which a column's own width hides it
 
-NEAR = 20.0
-"""Range of the fit on either side of an edge, in widths of its blur."""
+NEAR = 20.0  # range of the fit on either side of an edge, in widths of its blur
 
 
 @dataclass(frozen=True)

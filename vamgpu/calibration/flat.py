@@ -11,11 +11,9 @@ from numpy.typing import ArrayLike
 from vamgpu.calibration.fits import check_finite
 from vamgpu.errors import BadInput, ShapeMismatch
 
-ORDER = 4
-"""Total order of the surface's polynomial along rows and columns: tilt, vignetting, and effects of lenses."""
+ORDER = 4  # total order of the surface's polynomial along rows and columns: tilt, vignetting, and effects of lenses
 
-LEAST_CONTRAST = 20.0
-"""Least light of a block, relative to the noise of its mean."""
+LEAST_CONTRAST = 20.0  # least light of a block, relative to the noise of its mean
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,26 +14,20 @@ from numpy.typing import ArrayLike
 from vamgpu.calibration.fits import check_finite, fitted
 from vamgpu.errors import BadInput
 
-LEAST_POWERS = 6
-"""Least number of readings for a peak, which has four parameters; fewer do not show how well it fits."""
+LEAST_POWERS = 6  # least number of readings for a peak, which has four parameters; fewer do not show how well it fits
 
-ROUNDS = 4
-"""Number of fits of a peak, each around the middle found by the previous one."""
+ROUNDS = 4  # number of fits of a peak, each around the middle found by the previous one
 
-HARMONICS = np.arange(1.0, 16.0, 2.0) ** 2
-"""Squares of the odd harmonics of a Ronchi grating that a camera may see."""
+HARMONICS = np.arange(1.0, 16.0, 2.0) ** 2  # squares of the odd harmonics of a Ronchi grating that a camera may see
 
-RATIO = 0.1
-"""Initial ratios of blur to period for fits of a grating."""
+RATIO = 0.1  # initial ratios of blur to period for fits of a grating
 
-FAINT = 1e-6
-"""Least weight of a reading that counts."""
+FAINT = 1e-6  # least weight of a reading that counts
 
 REACH = 3.0
 """Range around a peak, in its widths, from which its position is found, if the powers extend that far on both sides."""
 
-LEAST_SHARE = 0.6
-"""Share of the variance of sharpness that a peak must explain; noise alone gives 0.1 to 0.5."""
+LEAST_SHARE = 0.6  # share of the variance of sharpness that a peak must explain; noise alone gives 0.1 to 0.5
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,10 @@ from vamgpu.calibration.fits import check_finite
 from vamgpu.errors import BadInput, ShapeMismatch
 
 TOP = 255
-LEAST_CONTRAST = 20.0
-"""Least light of level 255, relative to the noise of a level's mean."""
+LEAST_CONTRAST = 20.0  # least light of level 255, relative to the noise of a level's mean
 STUCK = 0.05
 """Rise over the last levels, relative to that of the whole curve, below which the meter counts as saturated."""
-FALLS = 6.0
-"""Standard errors by which a level may lie below a lower level and still count as noise."""
+FALLS = 6.0  # standard errors by which a level may lie below a lower level and still count as noise
 
 
 @dataclass(frozen=True)

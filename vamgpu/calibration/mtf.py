@@ -13,16 +13,13 @@ from vamgpu.calibration.fits import check_finite, fitted, noise_of
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
-OVERSAMPLE = 4
-"""Bins a pixel."""
-LEAST_CONTRAST = 8.0
-"""Least step of the edge, relative to the noise of a pixel."""
+OVERSAMPLE = 4  # bins a pixel
+LEAST_CONTRAST = 8.0  # least step of the edge, relative to the noise of a pixel
 LEAST_SLANT = 2.0
 """Least number of pixels that the edge crosses over the picture, so that its sub-pixel positions are even."""
 FLAT, REACH = 4.0, 6.0
 """Distances from the edge, in widths of the blur: within `FLAT` all values count fully, beyond `REACH` none does."""
-NARROWEST = 8.0
-"""Lower limit of that range [pixels]."""
+NARROWEST = 8.0  # lower limit of that range [pixels]
 
 FREQUENCIES = 401
 

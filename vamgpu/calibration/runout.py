@@ -15,16 +15,12 @@ from numpy.typing import ArrayLike
 from vamgpu.calibration.fits import check_finite, fitted, noise_of, read_result
 from vamgpu.errors import BadInput, ShapeMismatch
 
-LEAST_POSES = 8
-"""Least number of angles per turn for a sine and its scatter."""
-LEAST_CONTRAST = 8.0
-"""Least depth of the shadow, relative to the noise of a pixel."""
-SHARE = 0.2
-"""Share of a lit line's peak that is subtracted before the mean gives its position."""
+LEAST_POSES = 8  # least number of angles per turn for a sine and its scatter
+LEAST_CONTRAST = 8.0  # least depth of the shadow, relative to the noise of a pixel
+SHARE = 0.2  # share of a lit line's peak that is subtracted before the mean gives its position
 OUTLYING = 4.0
 """Distance of a lit line from its expected position, relative to the usual one, that shows a moved edge of the pin."""
-ROWS = 4
-"""Rows of the camera that are averaged before a pin is fitted."""
+ROWS = 4  # rows of the camera that are averaged before a pin is fitted
 
 
 @dataclass(frozen=True)

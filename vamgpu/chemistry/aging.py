@@ -16,10 +16,8 @@ from vamgpu.schema.quantities import ExposureTime, NonNegative
 
 BENCHY_SECONDS = (56.8, 45.8, 41.8, 37.2, 39.8)
 """Mean print times of five generations of resin [s]. Source: Table S1 of the automatic exposure paper."""
-BENCHY_DEVIATIONS = (0.4, 0.8, 0.4, 1.3, 2.4)
-"""Standard deviations of five prints each [s]. Source: as above."""
-LOST = 0.125
-"""Share of the resin lost in a print: the middle of the 10 to 15 % of the automatic exposure paper."""
+BENCHY_DEVIATIONS = (0.4, 0.8, 0.4, 1.3, 2.4)  # standard deviations of five prints each [s]. Source: as above.
+LOST = 0.125  # share of the resin lost in a print: the middle of the 10 to 15 % of the automatic exposure paper
 
 
 @dataclass(frozen=True)

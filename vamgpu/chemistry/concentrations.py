@@ -10,8 +10,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import SPECIES
 from vamgpu.errors import BadInput
 
-NEVER = -1.0
-"""Value of the fields of times in voxels that have not crossed the threshold."""
+NEVER = -1.0  # value of the fields of times in voxels that have not crossed the threshold
 
 
 @dataclass(eq=False)

@@ -29,8 +29,7 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Diffusivity, ExposureTime, Quantity, Thickness
 from vamgpu.web import WebGrid
 
-DROPPED = 1e-7
-"""Share of a kernel's weight that may be cut off."""
+DROPPED = 1e-7  # share of a kernel's weight that may be cut off
 
 
 @dataclass(frozen=True)
@@ -141,8 +140,7 @@ class Spread(LinearOperator):
 
 STEP = 0.2
 """Longest step beside a wall, D·time / pitch²; its error is at most 0.9 % of a point's peak."""
-FAINT = 1e-8
-"""Entries of a heat kernel below this are added to the diagonal."""
+FAINT = 1e-8  # entries of a heat kernel below this are added to the diagonal
 Ends = tuple[bool, bool]
 """Whether the value beyond each end of a line of voxels is held at 0; no flux passes the other ends."""
 

@@ -19,8 +19,7 @@ from vamgpu.schema.quantities import Absorption, Background, Count, ExposureTime
 
 HALVINGS = 22
 """Number of halvings of the eleven decades of UV in which W is searched; the remaining error is 6e-6 of the value."""
-LEAST = 1e-9
-"""Ratio of UV to visible irradiance that counts as no UV."""
+LEAST = 1e-9  # ratio of UV to visible irradiance that counts as no UV
 
 
 def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> float:

@@ -22,10 +22,8 @@ MEASURED = (30.0, 38.0, 50.0, 68.0)
 """
 NAMES = ("no UV", "UV before", "UV after oxygen is gone", "UV together with visible")
 UV_SECONDS = 30.0
-LONGEST = 400.0
-"""Longest simulated time of the trials [s]."""
-TRACE = 2e-6
-"""[A] that stands for 0: just above the depletion threshold; UV can then still fill the resin with B."""
+LONGEST = 400.0  # longest simulated time of the trials [s]
+TRACE = 2e-6  # [A] that stands for 0: just above the depletion threshold; UV can then still fill the resin with B
 GRID = {"alpha": (0.01, 10.0, 25), "k_c": (1e-3, 150.0, 31), "k_2": (1e-4, 10.0, 21)}
 """Lowest and highest value, and number of values, of the first search, in equal ratios."""
 

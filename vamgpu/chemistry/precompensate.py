@@ -26,8 +26,7 @@ PAPERS = (
     "A. Orth et al., Deconvolution volumetric additive manufacturing, Nat. Commun. 14 (2023) 4412",
     "A. Beck, M. Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sci. 2 (2009) 183",
 )
-HALO = 9.0
-"""Border of a block of slices that is solved and then dropped, in standard deviations of the blur."""
+HALO = 9.0  # border of a block of slices that is solved and then dropped, in standard deviations of the blur
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,9 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.live.fields import picked, places
 
-PAIRS = 50_000
-"""Greatest number of neighbors on either side of the surface that are used, spread evenly."""
-FARTHEST = 1.5
-"""Distance [voxels] at which the error of a surface is clipped."""
-STEEPEST = 1e-3
-"""Smallest decrease of the dose between neighbors, relative to the threshold, that gives a position."""
+PAIRS = 50_000  # greatest number of neighbors on either side of the surface that are used, spread evenly
+FARTHEST = 1.5  # distance [voxels] at which the error of a surface is clipped
+STEEPEST = 1e-3  # smallest decrease of the dose between neighbors, relative to the threshold, that gives a position
 
 
 class Border:

@@ -19,10 +19,8 @@ from vamgpu.schema.quantities import NonNegative, Place, Quantity, Turn
 
 Bits = Annotated[int, Quantity(least=1.0, most=16.0, whole=True)]
 
-TAIL = 5.0
-"""Standard deviations after which a point spread is cut off, plus one pixel."""
-LEAST = 1e-6
-"""Share of a column's light that must enter for its pixels to count."""
+TAIL = 5.0  # standard deviations after which a point spread is cut off, plus one pixel
+LEAST = 1e-6  # share of a column's light that must enter for its pixels to count
 
 
 @dataclass(frozen=True)

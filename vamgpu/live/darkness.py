@@ -15,16 +15,12 @@ from vamgpu.live.prior import Prior
 from vamgpu.live.tomography import TINY, Tomograph
 from vamgpu.live.trust import some
 
-VOXELS = 4000
-"""Greatest number of voxels whose dose is kept."""
-LIT = 0.5
-"""Share of the greatest planned dose below which voxels cure too late to count."""
-MODEL, DRIFT = 0.02, 0.01
-"""Errors of a darkening: a share of the greatest one, and a share of the planned print's."""
+VOXELS = 4000  # greatest number of voxels whose dose is kept
+LIT = 0.5  # share of the greatest planned dose below which voxels cure too late to count
+MODEL, DRIFT = 0.02, 0.01  # errors of a darkening: a share of the greatest one, and a share of the planned print's
 BOUNDS = (-3.0, -np.inf, 0.2), (3.0, np.inf, 5.0)
 """Bounds of the logarithm of the gain, of the initial dose, and of the factor."""
-STARTS = np.linspace(-2.0, 3.0, 21)
-"""Initial doses to start from, in deviations from the usual one."""
+STARTS = np.linspace(-2.0, 3.0, 21)  # initial doses to start from, in deviations from the usual one
 
 Darkness = tuple[float, np.ndarray]
 

@@ -29,38 +29,26 @@ from vamgpu.operators.row_resampler import banded
 from vamgpu.operators.space import require
 from vamgpu.printing.scenarios import clouded_and_displaced, displaced
 
-EDGE = 1e-3
-"""Least distance of initial values from their bounds."""
+EDGE = 1e-3  # least distance of initial values from their bounds
 STEPS = (0.05, 0.1, 0.1)
 """Steps of the finite differences for derivatives: a factor of absorption, and shares of a pixel."""
 APART = (4, 2, 2)
 """Distances between the points about which derivatives are taken; between them the dose is known to second order."""
-FAR = 0.75
-"""Share of these distances beyond which derivatives are computed again."""
-KEPT = 16
-"""Number of operators whose tables are kept."""
+FAR = 0.75  # share of these distances beyond which derivatives are computed again
+KEPT = 16  # number of operators whose tables are kept
 REWEIGHTED = 2
 """Number of fits per set of derivatives; later ones are weighted by the number of voxels with a common error."""
-SAMPLES = 20_000
-"""Greatest number of voxels used for the parameters."""
-ROUNDS = 2
-"""Number of times that derivatives are computed again."""
+SAMPLES = 20_000  # greatest number of voxels used for the parameters
+ROUNDS = 2  # number of times that derivatives are computed again
 RESIDUAL, NEIGHBORS = 0.03, 2.0
 """Standard deviations: of a voxel's own relative gain, and of the neighborhood over which it is smoothed [voxels]."""
-SLICES = 32
-"""Greatest number of slices used to estimate parameters; slices do not light each other."""
-TINY = 1e-30
-"""A value below any variance of conversion."""
-FAINT = 0.02
-"""Share of the greatest dose below which two operators are not compared."""
-OTHER = 1.5
-"""Largest expected ratio between them."""
-STILL = 0.05
-"""Distance [pixels] of the axis from the light's middle up to which it makes no difference to a plan."""
-BLOCK = 8
-"""Edge of the blocks of voxels in which errors are compared [voxels]: wider than errors are correlated."""
-FEWEST = 30.0
-"""Fewest voxels of a reconstruction that count as one: its resolution is about three voxels."""
+SLICES = 32  # greatest number of slices used to estimate parameters; slices do not light each other
+TINY = 1e-30  # a value below any variance of conversion
+FAINT = 0.02  # share of the greatest dose below which two operators are not compared
+OTHER = 1.5  # largest expected ratio between them
+STILL = 0.05  # distance [pixels] of the axis from the light's middle up to which it makes no difference to a plan
+BLOCK = 8  # edge of the blocks of voxels in which errors are compared [voxels]: wider than errors are correlated
+FEWEST = 30.0  # fewest voxels of a reconstruction that count as one: its resolution is about three voxels
 
 
 @dataclass(frozen=True, eq=False)

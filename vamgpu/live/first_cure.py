@@ -9,14 +9,10 @@ from vamgpu.live.fields import added
 from vamgpu.live.record import LiveRecord
 from vamgpu.live.turbidity import MeasuredTurbidity, Turbidity
 
-PARTS = 4
-"""Parts of the images, by their distance from the axis and by height; how much they differ is the error."""
-MODEL = 0.01
-"""Relative error of the model's rays and kinetics, in addition to the noise."""
-LEAST = 0.02
-"""Least optical depth of a pixel that counts as darkened."""
-DARKEST = 1e-6
-"""Least share of light that a pixel sees."""
+PARTS = 4  # parts of the images, by their distance from the axis and by height; how much they differ is the error
+MODEL = 0.01  # relative error of the model's rays and kinetics, in addition to the noise
+LEAST = 0.02  # least optical depth of a pixel that counts as darkened
+DARKEST = 1e-6  # least share of light that a pixel sees
 
 
 def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:

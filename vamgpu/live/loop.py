@@ -31,28 +31,21 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import total
 from vamgpu.quantity import counted
 
-SIGNIFICANT = 0.1
-"""Smallest conversion that counts as seen."""
-ENOUGH = 50
-"""Smallest number of such voxels for an estimate."""
-MODEL = 0.1
-"""Error of the conversion from resin and tomograph, in addition to the noise."""
-COMMON = 0.05
-"""Relative error of the seen conversion, common to all voxels."""
-FIRST = 1000
-"""Greatest number of voxels of the first estimate."""
+SIGNIFICANT = 0.1  # smallest conversion that counts as seen
+ENOUGH = 50  # smallest number of such voxels for an estimate
+MODEL = 0.1  # error of the conversion from resin and tomograph, in addition to the noise
+COMMON = 0.05  # relative error of the seen conversion, common to all voxels
+FIRST = 1000  # greatest number of voxels of the first estimate
 USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
 """Standard deviations of parameters that a blurred field hardly distinguishes, and of the inhibitor that a vial's
 age consumed; [mm] or dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
 """Values of light and inhibitor, relative to the plan, to try before the other parameters are estimated."""
-ROUNDING = 1e-3
-"""Tolerance, in turns, of sums of light."""
+ROUNDING = 1e-3  # tolerance, in turns, of sums of light
 ONSET, EARLY = 0.02, 0.1
 """Shares of the planned print's darkening: below the first, nothing has cured; above the second, this is not tested."""
-KEPT = 4
-"""Number of lights whose copies on the device are kept."""
+KEPT = 4  # number of lights whose copies on the device are kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,9 @@ from vamgpu.geometry import positive
 from vamgpu.live.fields import picked, places
 from vamgpu.reports.chart import colored
 
-BRIGHT = 1.5
-"""Dose of the brightest color, relative to the dose from which resin is solid."""
-TALL = 160
-"""Least height of a picture [pixels]."""
-GAP = 6
-"""Distance between the cuts [pixels]."""
+BRIGHT = 1.5  # dose of the brightest color, relative to the dose from which resin is solid
+TALL = 160  # least height of a picture [pixels]
+GAP = 6  # distance between the cuts [pixels]
 OUTLINE = np.array([255, 255, 255], np.uint8)
 
 

@@ -19,12 +19,9 @@ from vamgpu.printing.scenarios import clouded_and_displaced
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Positive, Share
 
-FINER = 2
-"""Number of voxels of the resin along an edge of the plan's voxels."""
-HIGHEST = 3.0
-"""Greatest dose at which the response is sampled, in units of the part's."""
-MOST = 0.999
-"""Greatest conversion at a gel point."""
+FINER = 2  # number of voxels of the resin along an edge of the plan's voxels
+HIGHEST = 3.0  # greatest dose at which the response is sampled, in units of the part's
+MOST = 0.999  # greatest conversion at a gel point
 GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
 """Induction times of five prints from one vial [s], of the automatic exposure paper."""
 

@@ -16,8 +16,7 @@ NAMES = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", 
 z [mm]; change of the gain from the middle to the top, and over half of the squared radius; dose of the resin before the
 print, for example where inhibitor was consumed."""
 NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-OPTICAL = (1, 2, 3)
-"""Parameters that need an operator of their own; the dose is linear in the others."""
+OPTICAL = (1, 2, 3)  # parameters that need an operator of their own; the dose is linear in the others
 DEVIATIONS = (0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 1e-3)
 LEAST = np.array([0.1, 0.2, -np.inf, -np.inf, -1.0, -1.0, -np.inf])
 MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0, np.inf])

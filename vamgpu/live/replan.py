@@ -31,20 +31,13 @@ from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot, extent, total
 from vamgpu.operators.space import require
 
-SURE = 2.0
-"""Standard deviations by which a voxel must exceed its limit to be given up."""
-LITTLE = 0.02
-"""Dose of the first trial light if the part already has its dose, for voxels that do not."""
-CAP, SPAN = 0.25, 0.25
-"""Frequency [cycles per column] beyond which the preconditioner is level."""
-ROUNDING = 1e-6
-"""Share by which light may seem to exceed a bound."""
-RATIO = 5.0
-"""Greatest factor by which a pixel of the plan is brightened to reach the required dose."""
-FORMED = 1.0
-"""Distance of a print's surface from the part's [voxels] within which the print may stop."""
-WORTH = 0.02
-"""Distance by which further turns must bring the surface closer to the part's [voxels]."""
+SURE = 2.0  # standard deviations by which a voxel must exceed its limit to be given up
+LITTLE = 0.02  # dose of the first trial light if the part already has its dose, for voxels that do not
+CAP, SPAN = 0.25, 0.25  # frequency [cycles per column] beyond which the preconditioner is level
+ROUNDING = 1e-6  # share by which light may seem to exceed a bound
+RATIO = 5.0  # greatest factor by which a pixel of the plan is brightened to reach the required dose
+FORMED = 1.0  # distance of a print's surface from the part's [voxels] within which the print may stop
+WORTH = 0.02  # distance by which further turns must bring the surface closer to the part's [voxels]
 
 
 def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:

@@ -23,8 +23,7 @@ SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", 
 TRUE = {"sensitivity": "lamp", "absorption": "absorption", "across": "across", "along_z": "along_z",
         "inhibitor": "inhibitor"}  # fmt: skip
 """The attribute of `Truth` for each estimate."""
-HEADER = "after turn", "", "light", "shown from turn", "turns left", "misfit", "why"
-"""Of the decisions."""
+HEADER = "after turn", "", "light", "shown from turn", "turns left", "misfit", "why"  # of the decisions
 CHECKS = {"images": ("misfit of the images", "o"), "conversion": ("conversion that the light does not explain", "s")}
 """Name and marker of what `Decision.checks` compare."""
 

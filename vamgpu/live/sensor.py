@@ -16,12 +16,9 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import NonNegative
 
 Pair = tuple[float, float]
-REACH = 1.5
-"""Number of neighboring beam pixels, on either side, from which a pixel gets light."""
-SHARPNESS = 0.5
-"""Standard deviation of the point spread that a `MonitoringCamera` has by default [pixels of the beam]."""
-SIXTEEN = 16
-"""Most bits of a resampled image."""
+REACH = 1.5  # number of neighboring beam pixels, on either side, from which a pixel gets light
+SHARPNESS = 0.5  # standard deviation of the point spread that a `MonitoringCamera` has by default [pixels of the beam]
+SIXTEEN = 16  # most bits of a resampled image
 
 
 @dataclass(frozen=True)

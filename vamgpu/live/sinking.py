@@ -6,12 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-USUAL = 0.1
-"""Standard deviation of the speed before anything is seen [pixels per turn]."""
-LEAST = 0.05
-"""Least standard deviation of a distance [pixels]."""
-SURE = 2.0
-"""Standard deviations by which a speed must differ from 0."""
+USUAL = 0.1  # standard deviation of the speed before anything is seen [pixels per turn]
+LEAST = 0.05  # least standard deviation of a distance [pixels]
+SURE = 2.0  # standard deviations by which a speed must differ from 0
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from vamgpu.kernels.gauss import blur_planes
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.compose import NO_FLOOR
 
-REACH = 4.0
-"""Standard deviations beyond which neighbors do not count."""
+REACH = 4.0  # standard deviations beyond which neighbors do not count
 
 
 class Smoothing:

@@ -32,17 +32,13 @@ from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.space import require
 
 ITERATIONS = 30
-NEIGHBORS = 12.0
-"""Greatest sum of absolute values in a row of the second differences along three axes."""
-TINY = 1e-30
-"""A value below any weight and any bound of a step."""
-MOST = 1e6
-"""Greatest ratio of the variances of two turns."""
+NEIGHBORS = 12.0  # greatest sum of absolute values in a row of the second differences along three axes
+TINY = 1e-30  # a value below any weight and any bound of a step
+MOST = 1e6  # greatest ratio of the variances of two turns
 CONTRAST = 0.2
 """Typical difference of neighboring voxels, relative to the extinction of fully cured resin; a larger value would give
 sharper and noisier fields."""
-PATCH = 2.0
-"""Standard deviation [voxels] of the patches in which a deviation is measured."""
+PATCH = 2.0  # standard deviation [voxels] of the patches in which a deviation is measured
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,9 @@ if TYPE_CHECKING:
     from vamgpu.live.estimate import Estimate
     from vamgpu.live.tomography import Reconstruction
 
-CLEAREST = 0.05
-"""Quantile of the pixels that are assumed to show no cured resin."""
-SOME = 32
-"""Least number of angles used for that."""
-FAINT = 0.05
-"""Share of the greatest darkening below which pixels are not compared."""
+CLEAREST = 0.05  # quantile of the pixels that are assumed to show no cured resin
+SOME = 32  # least number of angles used for that
+FAINT = 0.05  # share of the greatest darkening below which pixels are not compared
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from vamgpu.kernels.signature import Kernel
 from vamgpu.losses.loss import KernelLoss, steepest
 from vamgpu.losses.response import Linear, Response
 
-MOST = 1e12
-"""Upper limit of weights and slacks: sums of their products must fit float32, which devices use."""
+MOST = 1e12  # upper limit of weights and slacks: sums of their products must fit float32, which devices use
 GREATEST_POWER = 64.0
 """Largest power of an excess: with a higher power, a dose three times the part's would exceed float32."""
 

@@ -20,8 +20,7 @@ from vamgpu.losses.response import REACH
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import EVERYWHERE, SUM, all_folded, parts_for
 
-DOSES = 257
-"""Number of doses in the search for the curvature."""
+DOSES = 257  # number of doses in the search for the curvature
 SINGLE = "an endless web cannot have weights of single voxels; use penalty or gain for inside and outside"
 
 

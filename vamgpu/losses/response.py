@@ -13,8 +13,7 @@ from vamgpu.geometry import positive
 from vamgpu.schema.quantities import numeric
 
 SAMPLES = 1024
-REACH = 3.0
-"""Largest sampled dose; curves are sampled from 0 and continue straight beyond it."""
+REACH = 3.0  # largest sampled dose; curves are sampled from 0 and continue straight beyond it
 
 
 @dataclass(frozen=True, eq=False)

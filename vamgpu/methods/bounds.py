@@ -22,8 +22,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.protocol import Operator
 from vamgpu.operators.ring_projection import RingProjection
 
-REACHED = 6.0
-"""Standard deviations after which a point spread is cut off."""
+REACHED = 6.0  # standard deviations after which a point spread is cut off
 
 
 def bound(

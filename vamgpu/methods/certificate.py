@@ -19,8 +19,7 @@ from vamgpu.operators.reductions import folded, parts_for, total
 if TYPE_CHECKING:
     from vamgpu.methods.plan import Plan
 
-SWEEPS = 4
-"""Number of successive covers; each has more light where the previous one was weakest."""
+SWEEPS = 4  # number of successive covers; each has more light where the previous one was weakest
 GOLDEN, TRIED = 0.5 * (5**0.5 - 1.0), 20
 """Golden ratio and number of steps of the search, to 1e-4, for the share of the part's gain that is cheaper to omit
 than to cover; the bound is convex in it."""

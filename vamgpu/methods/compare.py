@@ -20,8 +20,7 @@ from vamgpu.methods.run import optimize
 from vamgpu.methods.surface import SurfaceRamp
 from vamgpu.operators.protocol import Operator
 
-OUTSIDE, INSIDE = 0.78, 0.95
-"""Thresholds for comparing methods, in units of the part's dose."""
+OUTSIDE, INSIDE = 0.78, 0.95  # thresholds for comparing methods, in units of the part's dose
 LABELS = {
     "ramp": "surface ramp (default)",
     "lbfgs": "L-BFGS, two thresholds",

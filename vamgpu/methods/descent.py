@@ -17,10 +17,8 @@ from vamgpu.methods.method import Method, Steps
 from vamgpu.methods.minimize import StepRule, check_pairs
 from vamgpu.methods.state import OptimizerState
 
-ABOVE = 0.05
-"""Excess dose of a gray body, relative to its own dose, above which it is penalized."""
-STEEP = 10.0
-"""Weight of that penalty, for losses whose steepest derivatives with respect to dose are about 1."""
+ABOVE = 0.05  # excess dose of a gray body, relative to its own dose, above which it is penalized
+STEEP = 10.0  # weight of that penalty, for losses whose steepest derivatives with respect to dose are about 1
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from vamgpu.operators.reductions import extent
 from vamgpu.quantity import counted
 from vamgpu.schema.quantities import Absorption, Dose, ExposureTime, Irradiance, measured
 
-MARGIN = 0.99
-"""Share of the allowed brightness that steps use, because the threshold moves until the run ends."""
+MARGIN = 0.99  # share of the allowed brightness that steps use, because the threshold moves until the run ends
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,8 @@ from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot, dots
 
-RETREATS = 24
-"""Number of successive returns to the best light, each with half the step, after which the method stops."""
-TRIES = 12
-"""Number of lengths that a line search tries."""
+RETREATS = 24  # number of successive returns to the best light, each with half the step, after which the method stops
+TRIES = 12  # number of lengths that a line search tries
 
 
 def check_pairs(history: int, least: int = 1) -> None:

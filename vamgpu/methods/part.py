@@ -28,10 +28,8 @@ which there is no solution: float32 rounds sums by about 1e-7, and this voxel's 
 MET = 1e-3
 """Share of the greatest projection of a part above which a pixel meets the part; fainter light of rings and point
 spreads extends farther. On a boat with pixels of 3/4 voxel, rings and rays then agree on all but 0.3 % of them."""
-SHARP = 1e5
-"""Slope of the step from 0 to 1, divided by its position."""
-HALF = 0.5 * (1.0 - 1e-4)
-"""Fraction at which that step is placed; voxels filled by half lie beyond it."""
+SHARP = 1e5  # slope of the step from 0 to 1, divided by its position
+HALF = 0.5 * (1.0 - 1e-4)  # fraction at which that step is placed; voxels filled by half lie beyond it
 DIM = 1e-2
 """The same ratio below which a print is possible but unlikely to succeed: light for the darkest voxel passes others
 that get a hundred times as much."""

@@ -29,22 +29,16 @@ from vamgpu.methods.state import UNLIMITED, OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import dot, parts_for, sums, total
 
-MEAN_ROW = 2.0
-"""Dose of light 1 everywhere, averaged over the voxels that count; the unit of the steps."""
-ACTIVE = 0.3
-"""Share of the part's voxels that are expected to limit the window."""
-LEVELS: tuple[str, ...] = ("least", "leak", "inside", "outside")
-"""a, b, and the sums of the multipliers of each."""
-FIELDS = ("light", "lower", "upper", "held")
-"""g, the multipliers of `dual_step`, and Aᵀg."""
+MEAN_ROW = 2.0  # dose of light 1 everywhere, averaged over the voxels that count; the unit of the steps
+ACTIVE = 0.3  # share of the part's voxels that are expected to limit the window
+LEVELS: tuple[str, ...] = ("least", "leak", "inside", "outside")  # a, b, and the sums of the multipliers of each
+FIELDS = ("light", "lower", "upper", "held")  # g, the multipliers of `dual_step`, and Aᵀg
 SIDES = (("least", "inside", 1.0), ("leak", "outside", -1.0))
 """Each level with its multipliers, and whether it should rise or fall."""
 SOON, LATE, LONGEST = 0.1, 0.4, 250
 """A round ends at the first share of its initial gap, at the second if the gap grows, or after this many steps."""
-LENGTHS = (0.8, 2.0)
-"""Factor by which steps are longer than is provably safe; longer ones oscillate."""
-TOLD = 60
-"""Number of steps after which the multipliers bound the window usefully."""
+LENGTHS = (0.8, 2.0)  # factor by which steps are longer than is provably safe; longer ones oscillate
+TOLD = 60  # number of steps after which the multipliers bound the window usefully
 
 
 @dataclass(frozen=True)

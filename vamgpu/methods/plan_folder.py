@@ -33,10 +33,8 @@ from vamgpu.targets.limits import BodyRequirement, Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
 
-OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0}
-"""Values assumed for beams in folders that do not state them."""
-LIMITS = "dose", "weight", "body"
-"""Arrays of a target's limits."""
+OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0}  # values assumed for beams in folders that do not state them
+LIMITS = "dose", "weight", "body"  # arrays of a target's limits
 
 
 @dataclass(frozen=True)
@@ -197,10 +195,8 @@ def inputs_of(plan: Any) -> tuple[dict[str, Any], dict[str, Entry]]:
     return inputs, entries
 
 
-INTERRUPTED = "interrupted"
-"""Key among the inputs of a folder: the run was stopped before its end."""
-FACTS = ("name", "radius", "volume", "height")
-"""Description of a target in a manifest, without its fractions."""
+INTERRUPTED = "interrupted"  # key among the inputs of a folder: the run was stopped before its end
+FACTS = ("name", "radius", "volume", "height")  # description of a target in a manifest, without its fractions
 
 
 def pixel_pitch(plan: Any) -> float | None:

@@ -11,8 +11,7 @@ from vamgpu.geometry import FULL_TURN, Turntable
 
 GAP, NEAR = 4.0, 2
 """A gap that is this many times wider than the widest neighboring gap on either side separates two ranges."""
-WHOLE = 0.95
-"""Share of all directions above which a scan counts as complete, because random angles leave gaps."""
+WHOLE = 0.95  # share of all directions above which a scan counts as complete, because random angles leave gaps
 
 
 def directions(motion: Turntable) -> np.ndarray:

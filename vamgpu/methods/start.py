@@ -14,8 +14,7 @@ from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.space import require
 
-SAME = 2.0
-"""Factor within which light is assumed to be in units of the part's dose."""
+SAME = 2.0  # factor within which light is assumed to be in units of the part's dose
 
 
 def own_light(operator: Any, light: Any, name: str) -> DeviceArray:

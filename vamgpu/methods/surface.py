@@ -44,12 +44,10 @@ from vamgpu.targets.target import Target
 FINE = 0.75
 """Ratio of the width of a voxel to that of a pixel in the resin. Voxels of half this width gain 0.01 of the window half
 a pixel from the surface; voxels as wide as pixels lose 0.08 of it."""
-PIXEL_DEEP = 0.5 - 1e-6
-"""Margin of a ramped target: voxels count from one ramp width off the surface."""
+PIXEL_DEEP = 0.5 - 1e-6  # margin of a ramped target: voxels count from one ramp width off the surface
 VOLUMES, SINOGRAMS, CELLS = 10, 20, 6
 """Memory that it needs, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
-ABOVE = 2.0
-"""Largest number of pixels above and below the part for which there are voxels."""
+ABOVE = 2.0  # largest number of pixels above and below the part for which there are voxels
 COST, AT_CORNERS = 1e-3, 1e-2
 """Mean error of the dose, over voxels of the ramp, that a greater step is worth; at corners of tolerances, which
 contradict each other anyway. Three times as much costs W(½) of a large boat, a third W(1) of small parts."""

@@ -31,8 +31,7 @@ from vamgpu.schema.quantities import Deviation, Quantity, Thickness
 
 Judged = Literal["worst", "mean + spread"]
 Widths = tuple[Thickness, Thickness]
-QUARTERS = 4
-"""Directions in which a vial may be off its axis."""
+QUARTERS = 4  # directions in which a vial may be off its axis
 
 
 @dataclass(frozen=True)
@@ -318,8 +317,7 @@ def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray)
             )
 
 
-BLAMED = ("wobble", "axis", "index", "absorption")
-"""Tolerances that can leave a part dark, the most likely first."""
+BLAMED = ("wobble", "axis", "index", "absorption")  # tolerances that can leave a part dark, the most likely first
 
 
 def at(operator: Any, corner: Corner) -> Any:

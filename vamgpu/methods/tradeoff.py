@@ -18,8 +18,7 @@ from vamgpu.methods.surface import across
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 
-SHARES = (0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)
-"""Limits of the other exposures, as shares of the time of the plan."""
+SHARES = (0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)  # limits of the other exposures, as shares of the time of the plan
 
 
 @dataclass(frozen=True)

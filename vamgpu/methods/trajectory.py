@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-BLOWN = 1e3
-"""Multiple of the first loss above which a run is given up."""
-LOST = 0.5
-"""A rise by more than this share of the descent is a divergence, not an oscillation."""
-SWING = 0.05
-"""Relative rise over the least loss that is never reported."""
+BLOWN = 1e3  # multiple of the first loss above which a run is given up
+LOST = 0.5  # a rise by more than this share of the descent is a divergence, not an oscillation
+SWING = 0.05  # relative rise over the least loss that is never reported
 
 
 @dataclass(frozen=True)

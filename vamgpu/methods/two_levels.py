@@ -27,19 +27,14 @@ from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import extent, parts_for, sums
 from vamgpu.operators.scenarios import Scenarios
 
-PUSH = (0.005, 0.3)
-"""Push of the first step and of the last, relative to the distance from the middle."""
-STEPS, OFTEN = 120, 5
-"""Number of steps, and of steps between two results that are evaluated."""
-BACKGROUND = 0.6
-"""Greatest dose outside, relative to that of the part, at which the search for limits starts."""
+PUSH = (0.005, 0.3)  # push of the first step and of the last, relative to the distance from the middle
+STEPS, OFTEN = 120, 5  # number of steps, and of steps between two results that are evaluated
+BACKGROUND = 0.6  # greatest dose outside, relative to that of the part, at which the search for limits starts
 LACK = 0.04
 """Total dose, divided by the number of voxels, that voxels of the part may lack where limits are searched; for
 scenarios, divided by the root of that number, because their voxels stand for each other."""
-RELAX = 1.6
-"""Over-relaxation of a step towards the limits; below 2."""
-CLOSE, PASSES = 1e-3, 12
-"""Tolerance of the limits as a share of that lack, and greatest number of trials."""
+RELAX = 1.6  # over-relaxation of a step towards the limits; below 2
+CLOSE, PASSES = 1e-3, 12  # tolerance of the limits as a share of that lack, and greatest number of trials
 
 
 class TwoLevels:

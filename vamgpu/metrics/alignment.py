@@ -13,10 +13,8 @@ from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 STEPS, SAMPLES = 200, 2000
 _ROUGH = 12
 """Number of steps that move points to their nearest points, before steps that also slide them along the surface."""
-_SETTLED = 1e-7
-"""The last step moves no point by more than this share of the points' extent."""
-_PATIENCE, _BETTER = 5, 1e-4
-"""Or, after several steps, the best RMS distance improved by no more than this share."""
+_SETTLED = 1e-7  # the last step moves no point by more than this share of the points' extent
+_PATIENCE, _BETTER = 5, 1e-4  # or, after several steps, the best RMS distance improved by no more than this share
 _DAMPING = 1e-2
 """Motions that change the distances less than this share of others, such as rotations of a ball, are suppressed."""
 

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from vamgpu.metrics.runs import Indices, Runs
 from vamgpu.metrics.topology import Topology
 
-_LOST = 0.5
-"""A body or a cavity is lost if less than this share of it remains."""
+_LOST = 0.5  # a body or a cavity is lost if less than this share of it remains
 _SPECK, _TINY = 8, 1e-4
 """Number of voxels, and share of the largest body, below which a body is a fragment that sampling breaks off."""
 

@@ -12,8 +12,7 @@ from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import EVERYWHERE, IN, OUT, Parts
 
-SMALLEST = 1e-30
-"""Lower limit of targets that count as part; fractions of a voxel are far above this."""
+SMALLEST = 1e-30  # lower limit of targets that count as part; fractions of a voxel are far above this
 
 
 def contrast(

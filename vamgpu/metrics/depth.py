@@ -17,10 +17,8 @@ from vamgpu.kernels.depth import FARTHEST, cut_voxels, nearest_cut, signed_depth
 
 Array = npt.NDArray[np.float32]
 
-LARGEST_REACH = FARTHEST + 1
-"""Number of voxels that a search may span."""
-TOGETHER, FEWEST = 1 << 26, 32
-"""Number of voxels that a device measures at a time, and least number of slices."""
+LARGEST_REACH = FARTHEST + 1  # number of voxels that a search may span
+TOGETHER, FEWEST = 1 << 26, 32  # number of voxels that a device measures at a time, and least number of slices
 
 
 def surrounded(fraction: Array, by: int, flat: bool = False) -> Array:

@@ -10,11 +10,9 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.histogram import fold_counts, fold_survey, survey, tally
 from vamgpu.metrics.parts import Parts
 
-BINS = 512
-"""Number of bins of a search: both classes of the whole volume then need a transfer of 4 kB."""
+BINS = 512  # number of bins of a search: both classes of the whole volume then need a transfer of 4 kB
 
-PASSES = 4
-"""Each pass divides the range by 510; after four passes the range is below the resolution of float32."""
+PASSES = 4  # each pass divides the range by 510; after four passes the range is below the resolution of float32
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ from vamgpu.backend.cores import ahead
 
 Array = npt.NDArray[np.floating]
 
-PLANES = 32
-"""Number of planes along x that a thread processes."""
+PLANES = 32  # number of planes along x that a thread processes
 
 
 def interpolated(values: Array, places: Sequence[npt.ArrayLike]) -> Array:

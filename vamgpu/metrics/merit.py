@@ -15,8 +15,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import centers, positive
 from vamgpu.targets.shapes.calibration import GAPS_PX, SPOKES_PX
 
-FORMED = 0.5
-"""Share of a half disk that must be solid for it to count as formed."""
+FORMED = 0.5  # share of a half disk that must be solid for it to count as formed
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from vamgpu.targets.solid import Solid
 
 _NUDGE = np.array([3.1e-7, 1.7e-7])
 """Shift of the columns, in spacings; no column then meets an edge or a corner of a triangle."""
-_BATCH = 1 << 18
-"""Number of pairs of a triangle and a column processed at a time."""
+_BATCH = 1 << 18  # number of pairs of a triangle and a column processed at a time
 
 
 def mesh_runs(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: Shape) -> Runs:

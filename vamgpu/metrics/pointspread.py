@@ -14,8 +14,7 @@ from vamgpu.geometry import centers, counts, positive
 
 Array = npt.NDArray[np.float64]
 
-ANGLES = 1801
-"""Default number of directions of a cumulative point spread."""
+ANGLES = 1801  # default number of directions of a cumulative point spread
 
 
 def steepest(ratio: float) -> float:

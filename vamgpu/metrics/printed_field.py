@@ -13,10 +13,8 @@ from vamgpu.geometry import positive
 from vamgpu.metrics.runs import Runs, runs_of
 from vamgpu.metrics.triangle_search import Array
 
-_SLAB = 32
-"""Number of planes along x whose surface is found at a time."""
-_AROUND = 2
-"""Voxels kept around the part and its print."""
+_SLAB = 32  # number of planes along x whose surface is found at a time
+_AROUND = 2  # voxels kept around the part and its print
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ from vamgpu.backend.cores import ahead
 Shape = tuple[int, int, int]
 Indices = npt.NDArray[np.int64]
 
-_PIECE = 1 << 21
-"""Voxels that a thread looks at."""
+_PIECE = 1 << 21  # voxels that a thread looks at
 
 
 @dataclass(frozen=True, eq=False)

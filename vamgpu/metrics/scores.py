@@ -12,8 +12,7 @@ from vamgpu.metrics.histogram import BINS, Extremes, above, extremes, tallied
 from vamgpu.metrics.parts import IN, OUT, Parts
 from vamgpu.metrics.window import Windows, windows
 
-PASSES = 8
-"""Greatest number of passes; each divides the remaining range by up to 510."""
+PASSES = 8  # greatest number of passes; each divides the remaining range by up to 510
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,11 @@ from vamgpu.metrics.runs import runs_of
 from vamgpu.metrics.topology import Topology, topology
 from vamgpu.metrics.walls import Walls
 
-LOST = 0.05
-"""Share of the part's surface at which walls may vanish, or gaps close."""
-FARTHEST = 2.0
-"""Greatest ratio of two thresholds that are compared."""
+LOST = 0.05  # share of the part's surface at which walls may vanish, or gaps close
+FARTHEST = 2.0  # greatest ratio of two thresholds that are compared
 WAY = 2.0**0.25
 """Greatest ratio of neighboring thresholds on the way to either end: a hole may open at one and be gone at the next."""
-CLOSE = 0.005
-"""Relative distance between the last threshold that keeps the print and the first that does not."""
+CLOSE = 0.005  # relative distance between the last threshold that keeps the print and the first that does not
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,7 @@ from vamgpu.metrics.triangle_search import double_areas, drawn_on
 from vamgpu.schema.quantities import numeric
 from vamgpu.targets.solid import Solid
 
-POINTS = 20_000
-"""Default number of points drawn on a print's surface."""
+POINTS = 20_000  # default number of points drawn on a print's surface
 
 
 @dataclass(frozen=True, eq=False)

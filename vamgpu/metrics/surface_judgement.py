@@ -32,14 +32,12 @@ from vamgpu.targets.solid import Solid
 
 SAMPLES = 10_000
 """Number of points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
-_DENSE = 300_000
-"""Greatest number of points on each surface in the search for the greatest distances."""
+_DENSE = 300_000  # greatest number of points on each surface in the search for the greatest distances
 _PER_VOXEL_FACE = 1.0
 _CANDIDATES = 500
 _PIECES = 128
 """Greatest number of pieces of triangles compared with a point; only points equally far from a whole part need more."""
-_WIDEST = 4.0
-"""Thickness, in voxels of the part, above which nothing counts as a wall by default."""
+_WIDEST = 4.0  # thickness, in voxels of the part, above which nothing counts as a wall by default
 
 
 @dataclass(frozen=True)

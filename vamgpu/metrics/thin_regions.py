@@ -16,14 +16,11 @@ from vamgpu.metrics.triangle_search import Array, double_areas, drawn_on
 from vamgpu.metrics.walls import walls
 from vamgpu.targets.solid import Solid
 
-IN_THE_PART = 0.5
-"""Least filled share at which a voxel counts as in the part, as in `Parts`."""
+IN_THE_PART = 0.5  # least filled share at which a voxel counts as in the part, as in `Parts`
 _PER_VOXEL_FACE, _LEAST, _MOST = 2.0, 5_000, 400_000
 """Least and greatest number of sample points on the surface, per voxel face."""
-_WIDEST = 2.0
-"""Wall thickness, in voxels, from which the voxels show a wall at any position."""
-_SMALLEST = 0.5
-"""Least volume of a region, in voxels; a smaller one would not fill half of a voxel."""
+_WIDEST = 2.0  # wall thickness, in voxels, from which the voxels show a wall at any position
+_SMALLEST = 0.5  # least volume of a region, in voxels; a smaller one would not fill half of a voxel
 
 
 @dataclass(frozen=True)

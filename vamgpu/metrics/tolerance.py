@@ -27,12 +27,9 @@ Depth = Callable[[Array, Array, Array], DeviceArray]
 """Function of three axes [mm]; returns the signed depth [mm] of points in the part, > 0 inside, a field [x, y, z];
 `NO_DEPTH` for points that do not count."""
 
-WIDEST = 2.0
-"""Largest tolerance of the curve, in voxels."""
-BINS = 128
-"""Number of steps of the curve; an even number puts half a voxel on a step."""
-_ROUNDING = 1e-4
-"""Tolerance, in voxels, for the comparison of a depth with a step."""
+WIDEST = 2.0  # largest tolerance of the curve, in voxels
+BINS = 128  # number of steps of the curve; an even number puts half a voxel on a step
+_ROUNDING = 1e-4  # tolerance, in voxels, for the comparison of a depth with a step
 
 
 class Slab(Protocol):

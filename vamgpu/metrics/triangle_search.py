@@ -14,18 +14,14 @@ Indices = npt.NDArray[np.int64]
 
 _FIRST, _GROWTH = 8, 4
 """Number of pieces searched for a point, and its factor of growth while a nearer piece cannot be ruled out."""
-_SURE = 2
-"""Number of nearest pieces whose distance is computed first; it rules out most others."""
+_SURE = 2  # number of nearest pieces whose distance is computed first; it rules out most others
 _ROUGH = 0.01
 """Relative error of a distance in a quick search: at a ball's center all pieces are about equally near, and an exact
 search would visit all of them."""
 _LEAF = 32
-_PARTS = 16
-"""Greatest number of parts into which a segment is cut."""
-_BATCH = 1 << 18
-"""Number of pairs of a point and a piece in memory at a time."""
-_PIECES = 100_000
-"""Long triangles are cut until pieces are as small as if this number of equal ones made the surface."""
+_PARTS = 16  # greatest number of parts into which a segment is cut
+_BATCH = 1 << 18  # number of pairs of a point and a piece in memory at a time
+_PIECES = 100_000  # long triangles are cut until pieces are as small as if this number of equal ones made the surface
 
 
 class TriangleSearch:

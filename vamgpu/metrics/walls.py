@@ -9,12 +9,9 @@ import numpy.typing as npt
 
 from vamgpu.metrics.triangle_search import Array, TriangleSearch
 
-FACING = 0.5
-"""Smallest cosine between a wall's direction of thickness and the normal of its far side: 60° at most."""
-_RAYS = 1000
-"""Number of rays processed at a time."""
-_RIM = 1e-9
-"""Share of a triangle by which a ray may miss it; no ray then slips through between two triangles."""
+FACING = 0.5  # smallest cosine between a wall's direction of thickness and the normal of its far side: 60° at most
+_RAYS = 1000  # number of rays processed at a time
+_RIM = 1e-9  # share of a triangle by which a ray may miss it; no ray then slips through between two triangles
 
 
 @dataclass(frozen=True, eq=False)

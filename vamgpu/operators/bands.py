@@ -10,8 +10,7 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.web import Propagation
 
-CHUNK = 4
-"""Weights of a band are padded to a multiple of this number, which a GPU reads at once."""
+CHUNK = 4  # weights of a band are padded to a multiple of this number, which a GPU reads at once
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from vamgpu.operators.compose import NO_FLOOR
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import Space
 
-FINE = 32
-"""Samples per pixel of a profile whose width is measured."""
+FINE = 32  # samples per pixel of a profile whose width is measured
 
 
 @final

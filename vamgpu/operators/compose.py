@@ -11,8 +11,7 @@ from vamgpu.geometry import Beam
 from vamgpu.kernels.update import linear
 from vamgpu.operators.linear import LinearOperator
 
-GEOMETRY = ("grid", "beam", "motion", "vessel")
-"""Further attributes of a projector that optimizers and reports use."""
+GEOMETRY = ("grid", "beam", "motion", "vessel")  # further attributes of a projector that optimizers and reports use
 
 NO_FLOOR = -3e38
 
@@ -55,7 +54,10 @@ def same_device(first: LinearOperator, second: LinearOperator) -> None:
 
 @final
 class Composed(Derived):
-    """outer ∘ inner, with the geometry of whichever has one. Raises `ShapeMismatch`, `DeviceError`."""
+    """outer ∘ inner, with the geometry of whichever has one. Raises `ShapeMismatch`, `DeviceError`.
+
+    inner: the operator applied first.  outer: the operator applied to its result.
+    """
 
     def __init__(self, outer: LinearOperator, inner: LinearOperator) -> None:
         if outer.domain != inner.range:
@@ -85,7 +87,10 @@ class Composed(Derived):
 
 @final
 class Sum(Derived):
-    """Σ weight·operator with the geometry of the first; weights 1 by default. Raises `BadInput`, `ShapeMismatch`."""
+    """Σ weight·operator with the geometry of the first. Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+
+    terms: operators between the same spaces.  weights: one per term, 1 if none are given.
+    """
 
     def __init__(self, terms: Sequence[LinearOperator], weights: Sequence[float] | None = None) -> None:
         if not terms or (weights is not None and len(weights) != len(terms)):

@@ -11,10 +11,8 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.geometry import Turntable
 from vamgpu.operators.compose import combine
 
-CURVED = 0.03
-"""Mean error [columns] of a voxel's position if its curved path is taken as straight."""
-APART = 0.35
-"""Greatest distance [voxels] between positions at which one ray per pixel is traced."""
+CURVED = 0.03  # mean error [columns] of a voxel's position if its curved path is taken as straight
+APART = 0.35  # greatest distance [voxels] between positions at which one ray per pixel is traced
 
 
 def straight_parts(motion: Turntable, reach: float) -> int:

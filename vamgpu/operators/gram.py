@@ -24,10 +24,8 @@ from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection, table_arguments
 from vamgpu.operators.transforms import straight_passes
 
-RIM = 0.1
-"""Weight of the voxels outside the judged cylinder."""
-AT_ONCE = 32
-"""Number of columns whose blur is computed at a time."""
+RIM = 0.1  # weight of the voxels outside the judged cylinder
+AT_ONCE = 32  # number of columns whose blur is computed at a time
 SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """Initial ``base``, relative to the greatest gain of A Aᵀ on light; it grows until it is safe."""
 MOST, STEPS, SETTLED = 1.4, 40, 0.01
@@ -35,8 +33,7 @@ MOST, STEPS, SETTLED = 1.4, 40, 0.01
 which the search ends."""
 MIRRORED = 1e-5
 """Greatest difference of a blur from its mirror image, relative to its greatest entry, for mirrored light."""
-DARK = 1e-6
-"""Share of the brightest column's blur into itself, below which a column lights nothing relevant."""
+DARK = 1e-6  # share of the brightest column's blur into itself, below which a column lights nothing relevant
 
 
 @final

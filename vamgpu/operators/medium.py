@@ -14,8 +14,7 @@ from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, DARK, MARGIN, WHOLE
 FILLED = 2.0 * DARK
 """Parts of `WHOLE` of a voxel full of insert, if shares are given: surfaces are then where shares pass 0.45, and walls
 one voxel thick still stop all light."""
-FINE = 2.0**17
-"""Number of steps of extinction in inserts that float32 can hold together with the share."""
+FINE = 2.0**17  # number of steps of extinction in inserts that float32 can hold together with the share
 
 
 @dataclass(frozen=True, eq=False)

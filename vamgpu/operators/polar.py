@@ -22,8 +22,7 @@ from vamgpu.kernels.spectrum import ROWS
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
-PARTS = 2
-"""Number of parts of a cell along the radius and along the angle whose footprints are added."""
+PARTS = 2  # number of parts of a cell along the radius and along the angle whose footprints are added
 SMOOTH = 0.7
 """Share of the lit radius within which columns change evenly enough to be compared a ring apart: to 0.003 of one."""
 ALIKE = 1e-5

@@ -16,16 +16,11 @@ from vamgpu.geometry import Beam, Chords, Grid, Vessel, centers
 from vamgpu.kernels.footprint import half_support, sides
 
 FINE = 65_536
-SAFETY = 1.5
-"""Safety factor on the errors measured midway between samples of the map."""
-ROUNDING = 0.01
-"""Rounding error of float32 [voxels]."""
-TOGETHER = 4
-"""Neighboring columns whose rays a device follows together."""
-WIDE = 0.5
-"""Angle [rad] between the chords of `TOGETHER` columns above which all voxels of a row are checked."""
-EQUAL = 1.05
-"""Relative difference in width up to which voxels count as equally wide as a column's light."""
+SAFETY = 1.5  # safety factor on the errors measured midway between samples of the map
+ROUNDING = 0.01  # rounding error of float32 [voxels]
+TOGETHER = 4  # neighboring columns whose rays a device follows together
+WIDE = 0.5  # angle [rad] between the chords of `TOGETHER` columns above which all voxels of a row are checked
+EQUAL = 1.05  # relative difference in width up to which voxels count as equally wide as a column's light
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.reduce import HIGH, LOW, SUM, fold, partial_dot, partial_extent, partial_sum
 from vamgpu.kernels.signature import Kernel
 
-FOLDED = 512
-"""Greatest number of partial results that are downloaded: 4 kB in float64."""
+FOLDED = 512  # greatest number of partial results that are downloaded: 4 kB in float64
 
 EVERYWHERE = 1e18
 

@@ -35,17 +35,13 @@ WIDTH, FINE = 0.75, 0.6
 """Width of a ring, the smaller of its ratios to a voxel and to a column of light in the resin. Windows of light found
 by rays in a vial, with columns of 0.33 to 1.33 voxels in the resin, are the same on such rings within 0.001. On rings
 of 0.75 voxels, they are lower by 0.1, 0.06, 0.04 and 0.007 for columns of 0.33, 0.5, 0.67 and 1 voxel."""
-NARROWEST, WIDEST = 0.1, 2.0
-"""Allowed widths: narrower rings are too many, wider ones lose a tenth of the dose."""
-BEYOND = 2
-"""Number of rings beyond those that voxels use: at the end of splines, light beyond affects this many rings."""
+NARROWEST, WIDEST = 0.1, 2.0  # allowed widths: narrower rings are too many, wider ones lose a tenth of the dose
+BEYOND = 2  # number of rings beyond those that voxels use: at the end of splines, light beyond affects this many rings
 FAINT = 3e-4
 """Share of the table's greatest entry below which entries are dropped: up to 1/4 of the products, 3e-5 of a dose."""
-AT_ONCE = {False: 1 << 30, True: 1 << 33}
-"""Limit of its work fields [bytes], on processors and on GPUs."""
+AT_ONCE = {False: 1 << 30, True: 1 << 33}  # limit of its work fields [bytes], on processors and on GPUs
 Others = Sequence[tuple[SpectralProjection, DeviceArray]]
-THICK = 64
-"""Strips have a multiple of this number of slices, the widest lanes, which share each entry of the table."""
+THICK = 64  # strips have a multiple of this number of slices, the widest lanes, which share each entry of the table
 
 
 @final

@@ -11,10 +11,8 @@ import numpy as np
 if TYPE_CHECKING:
     from vamgpu.operators.polar import PolarGrid
 
-TAPS = np.arange(-1, 3)
-"""Number of coefficients about a point that determine the field there."""
-OWN, NEXT = 13 / 21, 4 / 21
-"""Weight of a coefficient in its own sample, and in either next one."""
+TAPS = np.arange(-1, 3)  # number of coefficients about a point that determine the field there
+OWN, NEXT = 13 / 21, 4 / 21  # weight of a coefficient in its own sample, and in either next one
 
 
 def shares(place: np.ndarray) -> list[np.ndarray]:

@@ -17,8 +17,7 @@ from vamgpu.operators.polar import PolarGrid, PoseTile
 from vamgpu.operators.ring_splines import NEXT, OWN, pivots, tracks
 from vamgpu.operators.transforms import Passes, ring_band, ring_radices
 
-MANY = 1 << 20
-"""Columns that fill whole slabs of every device."""
+MANY = 1 << 20  # columns that fill whole slabs of every device
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,8 @@ from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK
 from vamgpu.schema.quantities import Count, Positive
 
-WIDE = 1.5
-"""Ratio of the width of rings for scattered light to that of voxels."""
-PHOTONS = 1 << 22
-"""Photons that are followed by default."""
+WIDE = 1.5  # ratio of the width of rings for scattered light to that of voxels
+PHOTONS = 1 << 22  # photons that are followed by default
 
 
 @final

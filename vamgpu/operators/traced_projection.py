@@ -26,18 +26,13 @@ from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import require_kinds
 from vamgpu.travel import at_rest
 
-SCRATCH = 64 << 20
-"""Bytes of the table for the angles that are traced at a time."""
-WHOLE = 1 << 24
-"""Float32 represents all whole numbers up to this one."""
-BLOCK = 1 << 24
-"""Number of columns of a matrix that are read together."""
+SCRATCH = 64 << 20  # bytes of the table for the angles that are traced at a time
+WHOLE = 1 << 24  # float32 represents all whole numbers up to this one
+BLOCK = 1 << 24  # number of columns of a matrix that are read together
 PLANES, POSES = 32, 45
 """Planes of voxels, and angles, whose entries are gathered together; neighbors then find them in the cache."""
-PATIENCE = 8
-"""A ray counts as trapped after a path through this number of grids."""
-TRAPPED = 1e-3
-"""Largest share of trapped rays, whose light is lost: walls of a high index guide a few."""
+PATIENCE = 8  # a ray counts as trapped after a path through this number of grids
+TRAPPED = 1e-3  # largest share of trapped rays, whose light is lost: walls of a high index guide a few
 
 
 @final

@@ -13,8 +13,7 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import FULL_TURN
 from vamgpu.kernels.spectrum import AT_ONCE, FACTOR, ONE_SUM, factors, fourier, in_groups, is_even
 
-MOST = 4
-"""Largest number of passes."""
+MOST = 4  # largest number of passes
 Place = tuple[int, int, int, int]
 """First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.RingBands`."""
 

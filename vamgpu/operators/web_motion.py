@@ -12,8 +12,7 @@ from vamgpu.errors import BadInput, SkippedColumns
 from vamgpu.geometry import counts, positive
 from vamgpu.web import Propagation, way_taps
 
-DRIFT = 1e-6
-"""Total deviation [columns] of all angles from whole columns that still counts as whole."""
+DRIFT = 1e-6  # total deviation [columns] of all angles from whole columns that still counts as whole
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ UNKNOWN = 0.25  # greatest standard deviation of g, and of μ_s relative to itse
 HOT = 1e-3  # share of saturated pixels that may be faults of the camera
 PILED, BELOW = 3.0, 20
 """Pixels at the greatest gray level, over those at any of so many levels below, from which it is taken as saturated."""
-LOST = 0.1
-"""Light of photons that were given up, in standard deviations of total light, from which a fit is refused."""
+LOST = 0.1  # light of photons that were given up, in standard deviations of total light, from which a fit is refused
 FEW = 10  # photons that the darkest ring should receive
 TWO_SIDED = 1.96  # standard deviations of a 95 % interval to either side
 

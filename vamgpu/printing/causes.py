@@ -26,12 +26,10 @@ CONVERGED = "more evaluations hardly improve these patterns: use smaller pixels,
 BOUNDED = "no patterns do much better here: use smaller pixels, or a larger part"
 THIN = "thicken features thinner than two pixels, or use smaller pixels"
 NARROW = "widen gaps narrower than two pixels, or use smaller pixels"
-REACHED = 0.98
-"""Share of the widest window; if a plan exceeds it, no other patterns do much better."""
+REACHED = 0.98  # share of the widest window; if a plan exceeds it, no other patterns do much better
 TAIL, STILL = 0.25, 0.02
 """The last share of a run, and the relative drop of its loss there: with a greater drop, it is still improving."""
-LOST = 0.05
-"""Share of lost wall area above which the distance of 95 % of the surface shows the loss."""
+LOST = 0.05  # share of lost wall area above which the distance of 95 % of the surface shows the loss
 
 
 class Causes:

@@ -16,8 +16,7 @@ from vamgpu.metrics.tolerance import ToleranceWindow
 from vamgpu.reports.chart import EXTRA, GOOD, PART, REST, WARN, WIDE, above, svg
 from vamgpu.reports.style import INK
 
-HALF = 5.6
-"""Width [inch] of a chart in a card beside another."""
+HALF = 5.6  # width [inch] of a chart in a card beside another
 
 ABSCISSA = {"evaluations": "projector evaluations", "iteration": "iteration"}
 """Fields of a history that can be the horizontal axis, best first, and their labels."""

@@ -29,8 +29,7 @@ from vamgpu.storage.manifest import plain
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
 
-BLOCK = 1 << 25
-"""Bytes of frames that are fetched at once."""
+BLOCK = 1 << 25  # bytes of frames that are fetched at once
 
 
 @dataclass(frozen=True)
@@ -310,8 +309,7 @@ def _mp4(shown: _Shown, draft: Path) -> None:
         raise StorageError(f"cannot encode {draft.name!r}: {error}; export PNG or TIFF instead") from error
 
 
-LIMITED_RANGE = 1
-"""FFmpeg's number for levels from 16 to 235; without a number, players stretch the levels."""
+LIMITED_RANGE = 1  # FFmpeg's number for levels from 16 to 235; without a number, players stretch the levels
 
 
 @dataclass(frozen=True)

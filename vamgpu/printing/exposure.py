@@ -19,8 +19,7 @@ from vamgpu.schema.quantities import Dose, Irradiance, measured
 from vamgpu.travel import Travel
 from vamgpu.units import mJ_cm3, mW_cm2
 
-USUAL = 40.0
-"""Default speed of a vial [deg/s]."""
+USUAL = 40.0  # default speed of a vial [deg/s]
 
 
 @dataclass(frozen=True)
@@ -75,10 +74,8 @@ def through_turns(found: ExposureTimes, A: OxygenModel, scores: Scores, gel_time
 
 UNITS = {"irradiance": (Irradiance, "mW_cm2", mW_cm2, "mW/mm²"), "critical_dose": (Dose, "mJ_cm3", mJ_cm3, "mJ/mm³")}
 """Kind, usual unit, its value in mW, mJ and mm, and the unit of plain numbers."""
-DAY = 86_400.0
-"""Longest exposure [s] that is accepted: tomographic prints take seconds to minutes."""
-ODD = 10.0
-"""Smallest mW/mm² and mJ/mm³ that suggest a wrong unit: 1 W/cm², 10 J/cm³."""
+DAY = 86_400.0  # longest exposure [s] that is accepted: tomographic prints take seconds to minutes
+ODD = 10.0  # smallest mW/mm² and mJ/mm³ that suggest a wrong unit: 1 W/cm², 10 J/cm³
 
 
 def expose(

@@ -31,16 +31,11 @@ FULL_ON = (8.0, 4.0, 2.0, 1.0)
 """Irradiances of a full-on pixel to try if pixels are only flipped, relative to the mean weighted by itself. A lower
 irradiance than the brightest pixel lights more pixels, but clips the light above it: a boat has its best window at 6, a
 cross at 2."""
-LIT = 0.1
-"""Share of pixels that would be on at the first irradiance that is tried for two-level patterns."""
-AHEAD = 0.01
-"""Dose by which either side of a window should improve in the next sweep, relative to the peak."""
-SWEEPS = 8
-"""Rounds in which every pixel is considered; one for frames that do not improve further."""
-TOGETHER = 3
-"""Angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels."""
-THIRDS = 3
-"""Neighbors that light the same voxels are flipped one after another."""
+LIT = 0.1  # share of pixels that would be on at the first irradiance that is tried for two-level patterns
+AHEAD = 0.01  # dose by which either side of a window should improve in the next sweep, relative to the peak
+SWEEPS = 8  # rounds in which every pixel is considered; one for frames that do not improve further
+TOGETHER = 3  # angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels
+THIRDS = 3  # neighbors that light the same voxels are flipped one after another
 NO_FLOOR = -1e30
 MOST_ROUNDS, SPENT = 12, 0.1
 """Greatest number of rounds for 8-bit pixels, at one and a half evaluations each, and the largest share of the

@@ -15,8 +15,7 @@ from vamgpu.storage.reading import malformed
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
-WITHIN = 0.01
-"""Relative deviation of a dose from the proved one that is always allowed."""
+WITHIN = 0.01  # relative deviation of a dose from the proved one that is always allowed
 
 
 @dataclass(frozen=True)

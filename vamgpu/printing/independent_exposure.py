@@ -34,26 +34,20 @@ BETWEEN = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
 """Interpolates midway between samples, exactly for polynomials of degree 5."""
 A_PIXEL = 2.0
 """Smallest number of fine voxels across a column in the resin at the start, if the part's voxels are their mean."""
-AGREED = 1e-3
-"""Change of the dose, as a share of the greatest, at which refinement of the voxels stops."""
-TRIES = 4
-"""Greatest number of refinements: without a point spread, light has edges that no voxel resolves."""
-HARDEST = 4
-"""Number of slices to compare: the brightest one in each equal part of the height."""
+AGREED = 1e-3  # change of the dose, as a share of the greatest, at which refinement of the voxels stops
+TRIES = 4  # greatest number of refinements: without a point spread, light has edges that no voxel resolves
+HARDEST = 4  # number of slices to compare: the brightest one in each equal part of the height
 BEND = 0.02
 """Column widths by which a path may bend at the corners of the grid and still count as straight while a frame is lit:
 the dose is then right to 1e-3 of the greatest."""
-EDGE = 3
-"""Fine voxels beyond a grid's corner that the means over its voxels may need."""
+EDGE = 3  # fine voxels beyond a grid's corner that the means over its voxels may need
 STEPS = 2
 """Steps of a pixel at which the light of a part that travels is exposed; each takes as long as that of one at rest."""
-LANES = 64
-"""Tables are padded to a multiple of this number of slices: no device has wider vectors."""
+LANES = 64  # tables are padded to a multiple of this number of slices: no device has wider vectors
 SAMPLES = 128, 256
 """Fewest and most samples, from the axis to the wall, of a table of one angle; in between, one per part voxel. With
 128, the dose is right to 7e-4 inside the printable radius, and to 3 % (256: 1 %) per voxel at caustics beyond it."""
-STRAIGHT = 4
-"""Samples of a table of straight light; light is linear between them."""
+STRAIGHT = 4  # samples of a table of straight light; light is linear between them
 FAR = 2.0
 """If resin reaches this many times as far as the corners of the grid, wider voxels are used beyond the corners."""
 

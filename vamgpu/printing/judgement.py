@@ -36,12 +36,9 @@ from vamgpu.targets.target import Target
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
-FINEST = 5
-"""Greatest number of sampled voxels along an edge for which depths come from the part's mesh."""
-DEEP = 2.0
-"""Pixels from the surface beyond which wrong resin is a fault; closer, light cannot make the dose jump."""
-_PLANES = 16
-"""Planes along x that a thread joins."""
+FINEST = 5  # greatest number of sampled voxels along an edge for which depths come from the part's mesh
+DEEP = 2.0  # pixels from the surface beyond which wrong resin is a fault; closer, light cannot make the dose jump
+_PLANES = 16  # planes along x that a thread joins
 WHOLE = 2**28
 """Greatest number of fine voxels whose surface is judged; above it, the surface of the part's own voxels is judged."""
 

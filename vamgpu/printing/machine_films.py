@@ -19,10 +19,8 @@ from vamgpu.storage.images import encode_png
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
 
-HDMI = 60.0
-"""Images per second that projectors show."""
-DARK = (5.0, 10.0)
-"""Seconds without light before and after the turns of a film."""
+HDMI = 60.0  # images per second that projectors show
+DARK = (5.0, 10.0)  # seconds without light before and after the turns of a film
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,8 @@ from vamgpu.targets.resampling import along
 RUNS = 60
 """Greatest number of runs of angles per turn; the light of a run is constant in time. Where 180 angles light a ring
 from one side, the dose is right to 0.15 % of the greatest; with 10 runs, to 1.1 %."""
-STEPS = 3
-"""Least number of steps within a run; diffusion is explicit and may need more."""
-HALVES = 2
-"""Fine voxels along the height of a part voxel, if light varies with the height."""
+STEPS = 3  # least number of steps within a run; diffusion is explicit and may need more
+HALVES = 2  # fine voxels along the height of a part voxel, if light varies with the height
 
 
 class OxygenExposure(IndependentExposure):

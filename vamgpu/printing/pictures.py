@@ -10,17 +10,13 @@ import numpy as np
 from vamgpu.reports.chart import colored, picture
 from vamgpu.reports.page import Image
 
-SLICES = 64
-"""Greatest number of slices in the viewer."""
+SLICES = 64  # greatest number of slices in the viewer
 
-EDGE = 192
-"""Greatest edge of a slice in the viewer [px]."""
+EDGE = 192  # greatest edge of a slice in the viewer [px]
 
-GAMMA = 2.2
-"""Patterns are shown to the power 1 / `GAMMA`, because their mean is only a fortieth of their peak."""
+GAMMA = 2.2  # patterns are shown to the power 1 / `GAMMA`, because their mean is only a fortieth of their peak
 
-HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
-"""Verdicts on a voxel; 0 is a voxel that is correctly unprinted."""
+HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4  # verdicts on a voxel; 0 is a voxel that is correctly unprinted
 
 _VERDICTS = np.array([0, EXCESS, MISSING, HIT], np.uint8)
 """Verdicts: outside, outside and printed, in the part but not printed, in the part and printed."""

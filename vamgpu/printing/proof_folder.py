@@ -37,8 +37,7 @@ RECORDS: dict[str, type[Any]] = {
 FIELDS = ("scores", "slices", "light_efficiency", "mean_brightness", "claimed", "outer", "independent", "exposure",
           "width", "agrees", "given", "off")  # fmt: skip
 """Records of a proof that its manifest must hold."""
-LATER = ("width", "agrees", "given", "off")
-"""Records that manifests of 0.3 may lack."""
+LATER = ("width", "agrees", "given", "off")  # records that manifests of 0.3 may lack
 
 
 def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Path:

@@ -37,8 +37,7 @@ from vamgpu.reports.page import (
 )
 from vamgpu.storage.manifest import versions
 
-BYTES_A_VOXEL = 1800
-"""Memory of a report per voxel of the part; 1.75 kB was measured at 128³."""
+BYTES_A_VOXEL = 1800  # memory of a report per voxel of the part; 1.75 kB was measured at 128³
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 """Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
-STOP = 0.35
-"""Gray levels per voxel at which the paper stops; 0.15 to 0.35 are acceptable there."""
+STOP = 0.35  # gray levels per voxel at which the paper stops; 0.15 to 0.35 are acceptable there
 
 
 @dataclass(frozen=True)

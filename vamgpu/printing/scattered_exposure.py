@@ -19,12 +19,9 @@ from vamgpu.operators.traced_projection import BLOCK
 from vamgpu.printing.independent_exposure import IndependentExposure, _Disc
 from vamgpu.printing.oxygen_exposure import OxygenExposure
 
-OTHER = 7919
-"""Difference of the seed from that of the solver's photons."""
-MORE = 2
-"""Photons for each of the solver's."""
-NARROW = 1.0
-"""Ratio of the width of rings to that of voxels."""
+OTHER = 7919  # difference of the seed from that of the solver's photons
+MORE = 2  # photons for each of the solver's
+NARROW = 1.0  # ratio of the width of rings to that of voxels
 
 
 class ScatteredExposure(IndependentExposure):

@@ -11,8 +11,7 @@ import numpy as np
 from vamgpu.geometry import Beam
 from vamgpu.optics.traced_rays import Rays
 
-TAIL = 4.5
-"""Standard deviations at which a Gaussian is cut off: 7e-6 of it lies beyond."""
+TAIL = 4.5  # standard deviations at which a Gaussian is cut off: 7e-6 of it lies beyond
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from vamgpu.backend.cores import threads
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
-LARGEST = 128
-"""Fields with more voxels along an edge are first averaged in blocks."""
+LARGEST = 128  # fields with more voxels along an edge are first averaged in blocks
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from vamgpu.printing.judgement import Judgement
     from vamgpu.printing.proof import Proof
 
-ROUGH = 1.0
-"""Pixels by which 95 % of the surface may deviate."""
+ROUGH = 1.0  # pixels by which 95 % of the surface may deviate
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from vamgpu.geometry import positive
 from vamgpu.schema.section import Listed, Section
 from vamgpu.units import nm, um
 
-NEAR = 0.5 * nm
-"""A wavelength this close to a single measured one counts as equal to it."""
+NEAR = 0.5 * nm  # a wavelength this close to a single measured one counts as equal to it
 
 
 def within(name: str, wavelength: float, low: float, high: float) -> float:

@@ -21,10 +21,8 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.operators.ring_projection import RingProjection
 
-SPAN = 0.25
-"""Share of the columns that the preconditioner extends over."""
-ROUNDS = 8
-"""Number of power iterations for the length of a step."""
+SPAN = 0.25  # share of the columns that the preconditioner extends over
+ROUNDS = 8  # number of power iterations for the length of a step
 
 
 @dataclass(frozen=True)

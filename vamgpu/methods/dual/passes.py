@@ -18,10 +18,8 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.reductions import dot, extent
 
-PASSES = 23
-"""The paper's limit."""
-ENOUGH = 1e-6
-"""Root mean square of undersupply at which the paper stops; it is usually not reached."""
+PASSES = 23  # the paper's limit
+ENOUGH = 1e-6  # root mean square of undersupply at which the paper stops; it is usually not reached
 
 
 class DualState(OptimizerState):

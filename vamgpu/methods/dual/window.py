@@ -29,8 +29,7 @@ from vamgpu.operators.space import SinogramSpace
 
 LACKS = (0.1, 0.03, 0.01, 0.003, 0.001, 0.0003, 0.0001)
 """Dose that the part lacks in all, divided by its number of voxels, in successive rounds."""
-PAIRS = 10
-"""Number of pairs of the quasi-Newton method."""
+PAIRS = 10  # number of pairs of the quasi-Newton method
 
 
 @final

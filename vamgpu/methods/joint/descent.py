@@ -15,8 +15,7 @@ from vamgpu.methods.state import OptimizerState
 
 CAP, SPAN = 0.25, 0.25
 """Frequency [cycles per column] beyond which the ramp is level, and share of the columns that it extends over."""
-ROUNDS = 6
-"""Number of power iterations for the length of a step."""
+ROUNDS = 6  # number of power iterations for the length of a step
 PACE = StepRule(1.0, growth=1.04, shrink=0.6, calm=0.5, back=1.5, possible=True)
 """The first step has the length for the linear model. Later steps grow, because a decaying and depleting resin reacts
 more weakly than the first light suggests. If the loss rises, steps become shorter, and then grow half as fast."""

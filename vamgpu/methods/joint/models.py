@@ -17,8 +17,7 @@ from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import require
 
-NEVER = 1e30
-"""Depth of a peak before the first step."""
+NEVER = 1e30  # depth of a peak before the first step
 
 
 class SpeciesFields(NamedTuple):

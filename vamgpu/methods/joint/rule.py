@@ -22,10 +22,8 @@ from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Count, ExposureTime, NonNegative, Positive
 
-FLOOR = 0.002
-"""ε of the model. With a large ε the model cures, in many turns, what inhibitors still protect."""
-LINEAR = 200
-"""Number of evaluations of doses that add up; they take little time."""
+FLOOR = 0.002  # ε of the model. With a large ε the model cures, in many turns, what inhibitors still protect.
+LINEAR = 200  # number of evaluations of doses that add up; they take little time
 
 
 @dataclass(frozen=True)

@@ -61,10 +61,8 @@ class EffectiveContrast:
         return cls(*map(float, numbers))
 
 
-WARM = 10
-"""Iterations with only visible light, from which the descent of both colors begins."""
-LINEAR = 4
-"""Iterations of the linear model for each iteration with only visible light; they take little time."""
+WARM = 10  # iterations with only visible light, from which the descent of both colors begins
+LINEAR = 4  # iterations of the linear model for each iteration with only visible light; they take little time
 
 
 @dataclass(frozen=True)
