@@ -42,6 +42,18 @@ def more() -> dict[str, np.ndarray]:
     return {name: part[:, :, None].astype(np.float32) for name, part in parts.items()}
 
 
+def small() -> dict[str, np.ndarray]:
+    """Fractions [x, y, 1] of three parts of half the size, with details of 4 voxels and more."""
+    x, y = np.meshgrid(*2 * [np.arange(SIDE // 2) - 0.25 * (SIDE - 2)], indexing="ij")
+    r = np.hypot(x, y)
+    parts = {
+        "small ring": (r < 7.5) & (r > 3),
+        "small cross": ((abs(x) < 3) | (abs(y) < 3)) & (r < 8),
+        "small bars": (abs(x) < 7) & (abs(y) < 7) & (np.mod(x + 7, 9) < 5),
+    }
+    return {name: part[:, :, None].astype(np.float32) for name, part in parts.items()}
+
+
 def entries() -> sparse.csr_matrix:
     """Dose of each voxel by light of each pixel, (voxels, pixels)."""
     deep = APART * WIDE

@@ -62,8 +62,8 @@ def optimum(device: Device, quick: bool = False, part: str = "cross", evaluation
         "float64 matrix gives the widest strict window of any patterns. Dual variables of the dose limits bound it for "
         "parts of any size: by weak duality, no patterns have a wider window. Points are the strict windows of the "
         "patterns that a method returns after so many evaluations, on the same voxels as the optimum and the table. "
-        "The default lets the dose ramp across the surface; its strict window, which counts the voxels at the surface, "
-        "is therefore narrow. Methods use equal thresholds."
+        "A strict window counts the voxels at the surface, across which the default lets the dose ramp. Methods use "
+        "equal thresholds."
     )
     papers = tuple(dict.fromkeys(paper for plan in plans.values() for paper in plan.papers))
     return Picture(figure, caption, facts, table, papers)

@@ -35,7 +35,7 @@ def robust(
     axis: float = 0.25, least: float = 0.5, most: float = 1.0,
 ) -> Picture:  # fmt: skip
     """A slice in straight light; the axis is off by ``axis`` pixels, and the point spread varies."""
-    parts = slices.slices() | slices.more()
+    parts = slices.slices() | slices.more() | slices.small()
     if part not in parts:
         raise BadInput(f"part is {part!r}; expected one of {', '.join(parts)}")
     fraction, step, steps = np.repeat(np.repeat(parts[part], FINER, 0), FINER, 1), slices.PITCH, int(iterations)
@@ -71,8 +71,8 @@ def robust(
         "and voids at every corner, half a pixel or more from the surface; patterns print there if all bars of the "
         "part lie above those of the voids. Details one pixel wide have no point that deep and are not judged. Both "
         "took the same number of iterations and are judged from their 8-bit frames, along rays traced for every corner "
-        "while the vial turns. Tolerances change the windows of the default method only a little: its dose ramps "
-        "across the surface without them too."
+        "while the vial turns. Where bars and gaps are two or three pixels wide, tolerances change the windows of the "
+        "default method only a little: its dose ramps across the surface without them too."
     )
     return Picture(figure, caption, tuple(facts), table)
 
