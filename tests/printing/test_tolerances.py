@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_cdt
 
-from vamgpu import Beam, Grid, Projection, Turntable, Vat, Vial
+from vamgpu import Beam, Grid, Projection, Travel, Turntable, Vat, Vial
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
@@ -217,6 +217,16 @@ def test_an_amount_that_means_nothing_leaves_the_others_their_numbers(printed: P
     groups = summary.table(table)
     assert [row["wrong"] for row in groups[1]["rows"]] == ["–", "0", "0", "–"]
     assert groups[1]["note"] == "not exposed: -0.1 is too far; 0.5 is too far"
+
+
+def test_a_part_that_moves_sideways_says_why_its_axis_is_not_moved() -> None:
+    motion = Turntable(12, lit_share=0.0, travel=Travel([[0.0], [0.02]], x=[[0.03], [-0.05]]))
+    A = Projection(GRID, BEAM, motion, None, "numpy")
+    light = A.device.upload(np.ones(A.range.shape, np.float32))
+    table = tolerance_table(A, light, A.device.upload(bar()))
+    notes = {row.name: row.note for row in table.rows}
+    assert "moves sideways in Misaligned" in notes["axis of rotation"] and notes["point spread"] == notes["dose"] == ""
+    assert table.limits("point spread") and not table.limits("axis of rotation")
 
 
 def test_voxels_near_the_surface_count_only_where_they_are_asked_for(printed: Print) -> None:

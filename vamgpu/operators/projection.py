@@ -57,9 +57,6 @@ class Projection(VoxelProjector):
         if vessel is not None and not isinstance(vessel, Vessel):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
         self.vessel: Vessel | None = vessel
-        if motion.travel is not None and motion.travel.aside and vessel is not None:
-            raise BadInput(f"got a part that moves sideways in {vessel!r}, where light differs from place to place; "
-                           "expected straight light (no vessel), or [wobble]: Oblique with a Wobble")  # fmt: skip
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         self._light = self._lit()
         self._turn(motion)
@@ -83,6 +80,9 @@ class Projection(VoxelProjector):
 
     @cached_property
     def _table(self) -> RayTable:
+        if (travel := self.motion.travel) is not None and travel.aside and (vessel := self.vessel) is not None:
+            raise BadInput(f"got a part that moves sideways in {vessel!r}, where light differs from place to place; "
+                           "expected straight light (no vessel), or [wobble]: Oblique with a Wobble")  # fmt: skip
         arc = float(self.motion.arcs.max()) / self._parts
         return tabulate(self.grid, self.beam, self.vessel or OpenAir(), arc=arc)
 
