@@ -213,7 +213,7 @@ def _lines(open_: np.ndarray, ends: Ends, spread: float, axis: int) -> SparseEnt
     """Diffusion along the first axis of the open voxels; voxels [x, y] are counted along y."""
     length, lines = open_.shape
     found = []
-    for line in range(lines):
+    for line in open_.sum(axis=0).argsort(kind="stable").tolist():  # equal lengths together: `heat_matrix` is kept
         inside, first = int(open_[:, line].sum()), int(open_[:, line].argmax())
         touched = (ends[0] and first == 0, ends[1] and first + inside == length)
         matrix = np.eye(length)
