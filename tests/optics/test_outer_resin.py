@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import FULL_TURN
 from vamgpu.optics.outer_resin import AllResin, OuterResin, OuterRings, outer_resin
 from vamgpu.printing.independent_exposure import IndependentExposure
@@ -108,6 +108,11 @@ def test_the_dose_is_that_of_rays_traced_one_by_one() -> None:
     got = np.stack([in_order(beside, dose, ring)[:, cells.slices // 2] for ring in range(cells.rings)])
     assert np.abs(got - wanted).max() <= 0.03 * dose.max()
     assert np.abs(got.mean(axis=1) / wanted.mean(axis=1) - 1.0).max() < 0.01
+
+
+def test_a_dose_of_another_shape_is_refused_by_the_names_of_its_axes() -> None:
+    with pytest.raises(ShapeMismatch, match=r"= \[angle, cell, z\]"):
+        outer_resin(projector())[0](np.zeros((2, 2, 2), np.float32))
 
 
 def test_even_straight_light_gives_even_dose() -> None:

@@ -26,7 +26,7 @@ class VolumeSpace:
     @property
     def axes(self) -> tuple[str, str, str]:
         """Names of the axes."""
-        return AXES[type(self.grid)]
+        return next(names for kind, names in AXES.items() if isinstance(self.grid, kind))
 
     @property
     def shape(self) -> tuple[int, int, int]:
