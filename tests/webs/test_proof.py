@@ -16,6 +16,7 @@ from vamgpu.jobs.limits import parse_limits
 from vamgpu.jobs.web import WebJob, contrasts, solve_web, stream_of
 from vamgpu.operators.web import WebProjection
 from vamgpu.printing.frames import Frames
+from vamgpu.studio.films import described
 from vamgpu.web import WebGrid
 from vamgpu.webs import proof
 from vamgpu.webs.proof import prove_web
@@ -76,6 +77,9 @@ def test_a_malformed_folder_is_refused(folder: WebFolder) -> None:
         with pytest.raises(StorageError, match="malformed"):
             prove_web(WebFolder(folder.path, {**folder.details, key: {}}, folder.segments) if key != "wrap" else
                       WebFolder(folder.path, {k: v for k, v in folder.details.items() if k != key}))  # fmt: skip
+    empty = {**folder.details, "grid": {**folder.details["grid"], "pitch": []}}
+    with pytest.raises(StorageError, match="malformed"):
+        described(WebFolder(folder.path, empty, folder.segments))
 
 
 @pytest.mark.slow

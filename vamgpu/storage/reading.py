@@ -146,5 +146,5 @@ def malformed(what: str, remedy: str) -> Iterator[None]:
     """Raise `StorageError` if values in ``what`` are missing or wrong; one that is raised inside stays as it is."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise StorageError(f"{what}: {error}; {remedy}") from error
