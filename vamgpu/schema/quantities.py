@@ -158,10 +158,10 @@ Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0), exam
 PixelPitch = Annotated[float, Quantity("a length", above=0.0, usual=(1e-4, 25.0), example="67 um")]
 VesselRadius = Annotated[float, Quantity("a length", above=0.0, usual=(0.05, 1000.0))]
 Thickness = Annotated[float, Quantity("a length", least=0.0)]
-Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]  # A length that may be infinite
+Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]  # a length that may be infinite
 Width = Annotated[Any, Quantity("a length", least=0.0, example="25 um")]
 """A length; constructors also take a calibration in its place."""
-Place = Annotated[float, Quantity("a length")]  # A length that may be negative
+Place = Annotated[float, Quantity("a length")]  # a length that may be negative
 Absorption = Annotated[float, Quantity("an absorption", least=0.0)]
 ScatteringCoefficient = Annotated[float, Quantity("a scattering coefficient", above=0.0)]
 Angle = Annotated[float, Quantity("an angle", above=0.0)]
@@ -192,7 +192,7 @@ PauseTime = Annotated[float, Quantity("a time", least=0.0, example="30 s")]
 Age = Annotated[float, Quantity("a time", least=0.0, example="90 d")]
 Rate = Annotated[float, Quantity("a rate", above=0.0)]
 Density = Annotated[float, Quantity("a density", above=0.0)]
-DensityDifference = Annotated[float, Quantity("a density", example="20 kg/m3")]  # A density that may be negative
+DensityDifference = Annotated[float, Quantity("a density", example="20 kg/m3")]  # a density that may be negative
 Viscosity = Annotated[float, Quantity("a viscosity", above=0.0)]
 LensPower = Annotated[float, Quantity("a lens power", least=0.0, scale=dpt)]  # in diopters
 DataRate = Annotated[float, Quantity("a data rate", above=0.0, endless=True)]
