@@ -80,7 +80,8 @@ class Projection(VoxelProjector):
 
     @cached_property
     def _table(self) -> RayTable:
-        if (travel := self.motion.travel) is not None and travel.aside and (vessel := self.vessel) is not None:
+        travel, vessel = self.motion.travel, self.vessel
+        if travel is not None and travel.aside and vessel is not None:
             raise BadInput(f"got a part that moves sideways in {vessel!r}, where light differs from place to place; "
                            "expected straight light (no vessel), or [wobble]: Oblique with a Wobble")  # fmt: skip
         arc = float(self.motion.arcs.max()) / self._parts
