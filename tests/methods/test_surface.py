@@ -155,6 +155,12 @@ def test_parameters_that_are_out_of_range(given: dict[str, Any], told: str) -> N
             method(**given)
 
 
+@pytest.mark.parametrize("wrong", [{"steepest": 0.5}, {"steepest": np.nan}, {"cost": -1.0}, {"cost": np.inf}])
+def test_a_ramp_refuses_steps_that_shrink_and_costs_below_zero(wrong: dict[str, float]) -> None:
+    with pytest.raises(BadInput, match=f"^{next(iter(wrong))} is "):
+        Ramp(0.7, 0.9, **wrong)
+
+
 # ---- its voxels and their depth --------------------------------------------------------------------------------------
 def solid(mesh: Any) -> Solid:
     return Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces), "part")

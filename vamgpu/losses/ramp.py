@@ -7,6 +7,8 @@ from typing import Any, ClassVar
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
 from vamgpu.kernels.loss import ramp_loss
 from vamgpu.kernels.signature import Kernel
 from vamgpu.losses.band import check_thresholds
@@ -39,7 +41,7 @@ class Ramp(KernelLoss):
         cost: Loss for each unit of dose by which half the step is less than greatest, ≥ 0; 0 keeps the step.
 
     Raises:
-        BadInput: The values are not 0 ≤ outside < inside ≤ most.
+        BadInput: The values are not 0 ≤ outside < inside ≤ most, steepest ≥ 1 and cost ≥ 0.
     """
 
     outside: float
@@ -52,6 +54,9 @@ class Ramp(KernelLoss):
 
     def __post_init__(self) -> None:
         check_thresholds(self.outside, self.inside, self.most)
+        positive("cost", self.cost, zero=True)
+        if not positive("steepest", self.steepest) >= 1.0:
+            raise BadInput(f"steepest is {self.steepest!r}; expected a ratio ≥ 1: 1 keeps the step of the thresholds")
 
     def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
         return ramp_loss, self._apart(0.0) | {"hold": 0}

@@ -101,13 +101,11 @@ class SurfaceRamp(ByPairs):
             raise BadInput(f"dark is {self.dark!r}; expected less than inside, {self.inside!r}: resin beside the part "
                            "must get less than the part, or it prints")  # fmt: skip
         positive("brightest", self.brightest)
-        if not positive("steepest", self.steepest) >= 1.0:
-            raise BadInput(f"steepest is {self.steepest!r}; expected a ratio ≥ 1: 1 keeps the step of the thresholds")
 
     @property
     def loss(self) -> Ramp:
         """The loss of voxels, with the least step."""
-        return Ramp(self.outside, self.inside, self.most)
+        return Ramp(self.outside, self.inside, self.most, steepest=self.steepest)
 
     @property
     def threshold(self) -> float:
@@ -144,7 +142,7 @@ class SurfaceRamp(ByPairs):
         if state.limits is None:
             ramped = 6.0 * (total(target) - dot(target, target))  # voxels between 0 and 1: the mean of t(1 − t) is 1/6
             worth = AT_CORNERS if isinstance(state.operator, Scenarios) else COST
-            loss = replace(loss, steepest=self.steepest, cost=worth * ramped)
+            loss = replace(loss, cost=worth * ramped)
         exposure = DoseObjective(state, loss, self.rule, beside=Beside.of(state.operator, self.dark))
         yield from minimize(exposure, (Channel(state, identity(state.operator)),), self.rule)
 
