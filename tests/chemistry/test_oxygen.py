@@ -427,7 +427,7 @@ def test_wrong_input_is_refused() -> None:
             Oxygen(**{"diffusivity": 1e-3, "turns": 2, "period": 9.0, **wrong})
     with pytest.raises(ShapeMismatch, match=r"\(3,\)"):
         OxygenModel(A, Oxygen(1e-3, 2, 9.0, np.zeros(3), runs=4))
-    with pytest.raises(BadInput, match="runs of 8 angles"):
+    with pytest.raises(BadInput, match="runs is 12 in a turn of 8 angles"):
         OxygenModel(A, Oxygen(1e-3, 2, 9.0))
     with pytest.raises(BadInput, match="Oxygen\\(diff"):
         OxygenModel(A, 1e-3)  # type: ignore[arg-type]

@@ -119,8 +119,11 @@ def test_resin_opposite_to_air_does_not_end_with_the_part() -> None:
 
     assert np.abs(own - other(extra))[near].max() <= 1e-4
     assert np.abs(own - other(-room))[near].max() > 0.005
-    with pytest.raises(JobError, match="rows; expected 24, or none: the part is 0.35 mm above the middle"):
-        projection_of(Job.parse(text.replace("[turn", "pixels = [26, 16]\n[turn")).file, target, device)
+    with pytest.raises(JobError, match="rows; expected at least 20: the part is 0.35 mm from the middle"):
+        projection_of(Job.parse(text.replace("[turn", "pixels = [26, 19]\n[turn")).file, target, device)
+    assert projection_of(
+        Job.parse(text.replace("[turn", "pixels = [26, 20]\n[turn")).file, target, device
+    ).beam.pixels == (26, 20)
 
 
 def test_bodies_and_arrays_are_raised_with_the_part(tmp_path: Path) -> None:

@@ -285,7 +285,7 @@ def test_wrong_input_is_refused() -> None:
         plain(floor=0.7)
     with pytest.raises(BadInput, match="recombines in pairs"):
         KineticModel(A, B, plain(pairing=0.1), 2)
-    with pytest.raises(BadInput, match="runs of 8 angles"):
+    with pytest.raises(BadInput, match="turn of 8 angles"):
         KineticModel(A, B, plain(), 2, runs=9)
     with pytest.raises(BadInput, match="turns"):
         KineticModel(A, B, plain(), 0)

@@ -227,6 +227,8 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
                        ((measured, A.vessel), "even over a full turn")):  # fmt: skip
         with pytest.raises(BadInput, match=why):
             vam.ScatteringRings(vam.Projection(A.grid, A.beam, *other), resin)
+    with pytest.raises(BadInput, match="absorption and scattering: too much"):
+        vam.ScatteringRings(A, vam.Scattering(1e4, 0.0), photons=100)
     with pytest.raises(BadInput, match="rays are not scattered"):
         vam.projector(A.grid, A.beam, A.motion, A.vessel, algorithm="rays", scattering=resin)
     with pytest.raises(BadInput, match=r"noise of 10 photons .*use photons=\d") as told:

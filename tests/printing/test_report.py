@@ -158,6 +158,11 @@ def test_the_tolerance_table_shows_every_row(proof: Proof, judgement: Any) -> No
 
 
 @pytest.mark.slow
+def test_the_page_says_what_was_not_judged(proof: Proof, judgement: Any) -> None:
+    page = report.page_of(proof, None, replace(judgement, not_judged=("other exposures",)))
+    assert "Not judged: other exposures." in page.html()
+
+
 def test_the_fine_dose_is_judged_where_there_is_one(proof: Proof, judgement: Any) -> None:
     """W(0) on finer voxels sees what the mean over a voxel hides; without rays the own voxels are all there is."""
     own = replace(proof, independent=False)

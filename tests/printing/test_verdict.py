@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.ndimage import binary_dilation, binary_erosion, generate_binary_structure, label
 from scipy.special import erf
 
 import vamgpu as vam
 from vamgpu.backend import open_device
+from vamgpu.cli.show import show_verdict
 from vamgpu.geometry import centers
 from vamgpu.methods.certificate import Bound
 from vamgpu.methods.surface import SurfaceRamp
@@ -23,7 +25,7 @@ from vamgpu.printing.causes import BOUNDED, CONVERGED, EVALUATIONS, NARROW, THIN
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.printing.judgement import Judgement
 from vamgpu.printing.proof import Proof
-from vamgpu.printing.verdict import verdict_of
+from vamgpu.printing.verdict import Verdict, verdict_of
 
 PITCH, N, NZ, ANGLES = 0.1, 40, 16, 60
 GRID, BEAM, TURN = vam.Grid((N, N, NZ), PITCH), vam.Beam((56, NZ), PITCH), vam.Turntable(ANGLES)
@@ -330,3 +332,9 @@ def test_the_judge_of_the_records_compares_pieces_one_for_one() -> None:
     hole[8:12, 8:12, 4:] = 0
     closed[8:12, 8:12, 4:9] = 0
     assert verdicts.same_pieces(hole > 0, hole, judged) and not verdicts.same_pieces(closed > 0, hole, judged)
+
+
+def test_the_terminal_says_what_was_not_judged(capsys: pytest.CaptureFixture[str]) -> None:
+    verdict = Verdict((), "1 body", (0.9, 1.1), True, ("other exposures",))
+    show_verdict(Console(), verdict)
+    assert "not judged: other exposures" in capsys.readouterr().out

@@ -27,6 +27,8 @@ def show_verdict(screen: Console, verdict: Verdict) -> None:
     screen.print(f"[bold {color}]{verdict.opening}[/]{escape(rest)}")
     for remedy in verdict.remedies:
         screen.print(f"  → {escape(remedy)}")
+    for what in verdict.not_judged:
+        screen.print(f"  not judged: {escape(what)}")
 
 
 def show_rows(screen: Console, rows: Iterable[tuple[str, str, str]], width: int = 22) -> None:

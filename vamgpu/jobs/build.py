@@ -173,8 +173,8 @@ def projection_of(
     needed = covering(target, light, section.pitch, wobble)
     pixels = section.pixels or needed
     if (up := raised(file)) and pixels[1] + 2 * SPARE < needed[1]:
-        raise JobError(f"beam.pixels has {pixels[1]} rows; expected {needed[1]}, or none: the part is {abs(up):.3g} mm "
-                       f"{'above' if up > 0.0 else 'below'} the middle, beside resin with oxygen")  # fmt: skip
+        raise JobError(f"beam.pixels has {pixels[1]} rows; expected at least {needed[1] - 2 * SPARE}: the part is "
+                       f"{abs(up):.3g} mm from the middle, beside resin with oxygen; add rows")  # fmt: skip
     beam = beam_of(section, pixels, folder)
     if file.travel is not None and motion.travel is None:
         motion = motion.along(travel_of(file.travel, motion.angles, beam, folder))

@@ -23,7 +23,7 @@ class PoseRuns:
             raise BadInput(f"got {operator!r}; expected a projector whose turn can be cut into runs of angles")
         angles = motion.angles
         if isinstance(count, bool) or int(count) != count or not 1 <= count <= angles:
-            raise BadInput(f"{count!r} runs of {angles} angles; expected a whole number of 1 to {angles}")
+            raise BadInput(f"runs is {count!r} in a turn of {angles} angles; expected a whole number of 1 to {angles}")
         runs = np.array_split(np.arange(angles), int(count))
         self.whole: Any = operator
         self.first: tuple[int, ...] = tuple(int(run[0]) for run in runs)

@@ -68,7 +68,8 @@ def ring_table(grid: PolarGrid, beam: Beam, given: Sequence[PoseTile], device: D
     peaks = _peaks(grid, np.array(tiles)[:, :2], entries, splines, all_pairs // ROWS)
     most = float(peaks.max(initial=0.0))
     if most == 0.0:
-        raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
+        raise BadInput("no column of the beam lights a ring; widen the beam, or check the vessel's radius, absorption "
+                       "and scattering: too much of either lets no light through")  # fmt: skip
     lit = ROWS * np.where(peaks > faint * most, np.arange(1, peaks.shape[2] + 1), 0).max(axis=2, initial=0)
     return RingTable(entries, most, np.array(tiles)[:, [0, 2]], lit, mirrored)
 

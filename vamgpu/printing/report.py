@@ -86,6 +86,7 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
         headline=headline(proof, judgement, verdict),
         summary=first,
         remedies=verdict.remedies,
+        not_judged=verdict.not_judged,
         data=data,
     )
 

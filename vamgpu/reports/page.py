@@ -121,6 +121,7 @@ class Page:
     headline: Sequence[Line] = ()  # the most important numbers, above the tiles
     summary: Sequence[Card] = ()  # cards above the tiles
     remedies: Sequence[str] = ()  # what to do if the verdict is not good
+    not_judged: Sequence[str] = ()  # what the verdict leaves open
     data: Mapping[str, Any] | None = None  # drawn by the page's script, for cards with a `SurfaceView` or `Slices`
 
     def html(self) -> str:
