@@ -361,9 +361,8 @@ def test_without_webgl_the_part_is_painted_and_the_page_says_what_to_do(switch: 
         arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", switch]
         opened = tools.chromium.launch(executable_path=browser(), args=arguments, timeout=WAIT).new_page()
         opened.goto(path.as_uri())
-        opened.wait_for_timeout(1500)
+        drawn = "document.getElementById('solid').toDataURL().length > 8000"  # a picture, not one plain color
+        opened.wait_for_function(drawn, timeout=4 * WAIT)
         assert opened.locator("#painted").is_visible() == painted
         if painted:
             assert "hardware acceleration" in opened.locator("#painted").inner_text()
-        drawn = opened.evaluate("document.getElementById('solid').toDataURL().length")
-        assert drawn > 8000  # a picture, not one plain color
