@@ -119,12 +119,14 @@ def test_a_record_tells_every_method_of_every_part(tmp_path: Path, capsys: pytes
 def test_the_kept_record_has_the_default_ahead() -> None:
     path = Path(below_voxel.__file__).parent / "records" / "below-voxel-cpu.json"
     record = json.loads(path.read_text("utf-8"))
-    last = str(record["budgets"][-1])
-    for part_ in record["parts"].values():
-        judged = {name: each[last]["judged"] for name, each in part_["methods"].items()}
-        assert judged["ramp"]["rms"] == min(each["rms"] for each in judged.values())
+    last, behind = str(record["budgets"][-1]), set[str]()
+    for name, part_ in record["parts"].items():
+        judged = {method: each[last]["judged"] for method, each in part_["methods"].items()}
+        if judged["ramp"]["rms"] > min(each["rms"] for each in judged.values()):
+            behind.add(name)
         if judged["ramp"]["W1"] is not None:  # parts less than two pixels thick have none
             assert judged["ramp"]["W1"] == max(each["W1"] for each in judged.values())
+    assert behind == {"gyroid_sphere"}, "the page says that L-BFGS has the better surface there, and nowhere else"
     assert below_voxel.table(record).count("\n") > len(record["parts"])
     page = Path(__file__).parents[2] / "docs" / "best-light.md"
     assert below_voxel.overview(record) in page.read_text("utf-8"), "the page has another table than the record"
