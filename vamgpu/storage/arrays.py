@@ -37,7 +37,7 @@ def shard_length(shape: tuple[int, ...], itemsize: int) -> int:
 
 HEADER = "zarr.json"
 """Zarr's file that describes a group or an array."""
-LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
+LITTLE: dict[str, Any] = {"name": "bytes", "configuration": {"endian": "little"}}
 
 
 def write_header(folder: Path, kind: str, attributes: dict[str, Any], **said: Any) -> None:
